@@ -39,6 +39,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from echelon.errors import InputError
+
 Vec3 = tuple[float, float, float]
 Matrix3 = tuple[Vec3, Vec3, Vec3]
 JointKind = Literal["free", "ball", "pin", "universal", "gimbal", "slider"]
@@ -50,7 +52,7 @@ Q_COUNT: Mapping[str, int] = {"free": 7, "ball": 4, "pin": 1, "universal": 2, "g
 U_COUNT: Mapping[str, int] = {"free": 6, "ball": 3, "pin": 1, "universal": 2, "gimbal": 3, "slider": 1}
 
 
-class ModelError(ValueError):
+class ModelError(InputError):
     """A body description that cannot be a body; the message is one line that says where and why."""
 
 
