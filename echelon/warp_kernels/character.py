@@ -1,0 +1,118 @@
+"""What a character is to the engine: a body, a memory, and two pieces of control to be traced.
+
+A character's controller runs at two rates. `control` runs once a tick, a whole number of substeps: state machines
+move there, and desired angles are computed. `actuate` runs every substep: it turns what control decided into joint
+torques, and latches what may not be missed (touchdown, liftoff). Both see a `View` of one agent and are ordinary
+Python over scalars (see `trace`): no branches on values, only `select`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from echelon.warp_kernels.articulated import Kinematics
+from echelon.warp_kernels.contact import Contact, JointForces, strain_count
+from echelon.warp_kernels.model import Model
+from echelon.warp_kernels.reference import Body
+
+NO_EVENT = -1.0
+"""Value of an event's latch while nothing has happened in this frame."""
+
+
+@dataclass
+class View:
+    """One agent as its controller sees it.
+
+    Attributes:
+        q, u: Generalised positions and speeds.
+        kin: Kinematics of every node.
+        memory: The controller's own variables by name; assign to change them.
+        parameters: What differs between individuals, by name.
+        command: What the group layer wants, by name.
+        contacts: For each contact site by name what it feels; only while actuating.
+        substep: Which substep of the frame this is, counted from 0.
+        step: Length of a substep [s].
+        tick: Length of a control tick [s].
+        implicit_step: The same under semi-implicit Euler, 0 where forces must be plain (Runge-Kutta).
+    """
+
+    q: Sequence[Any]
+    u: Sequence[Any]
+    kin: Kinematics
+    memory: dict[str, Any]
+    parameters: Mapping[str, Any]
+    command: Mapping[str, Any]
+    substep: Any
+    step: float
+    tick: float
+    implicit_step: float
+    contacts: Mapping[str, Contact] = field(default_factory=dict)
+
+
+class Character(Protocol):
+    """A body with a controller.
+
+    Attributes:
+        name: As scenarios call it.
+        body: What it is made of.
+        memory: Names and initial values of the controller's variables. It must hold `phase` (an index into
+            `phase_names`), `fallen` (0 or 1) and `loaded` (0 or 1: a foot carries weight).
+        parameters: Names and usual values of what may differ between individuals.
+        commands: Names of what the group layer hands in once a frame.
+        phase_names: Names of the controller's phases.
+        events: Names of memory variables that are `NO_EVENT` at the start of each frame and take the substep at
+            which their event happened.
+    """
+
+    name: str
+    body: Body
+    memory: Mapping[str, float]
+    parameters: Mapping[str, float]
+    commands: tuple[str, ...]
+    phase_names: tuple[str, ...]
+    events: tuple[str, ...]
+
+    def control(self, view: View) -> None:
+        """Decide, once a tick: assign to ``view.memory``."""
+        ...
+
+    def actuate(self, view: View, joints: JointForces) -> None:
+        """Push, every substep: add to ``joints``, latch in ``view.memory``."""
+        ...
+
+
+@dataclass(frozen=True)
+class StateLayout:
+    """Where each variable stands in an agent's state: q, u, strains, memory, bookkeeping.
+
+    Attributes:
+        q, u: Indices of the first coordinate and speed.
+        strain: Index of the first strain of each contact site, by place in the model's list.
+        memory: Index of each memory variable by name.
+        substep: Index of the substep counter.
+        frozen: Index of the flag of an agent whose state stopped being finite.
+        size: Number of variables.
+    """
+
+    q: int
+    u: int
+    strain: tuple[int, ...]
+    memory: Mapping[str, int]
+    substep: int
+    frozen: int
+    size: int
+
+    @classmethod
+    def of(cls, model: Model, memory: Mapping[str, float]) -> StateLayout:
+        """The layout for a model and a controller's memory."""
+        u = model.q_count
+        at = u + model.u_count
+        strain: list[int] = []
+        for site in model.contacts:
+            strain.append(at)
+            at += strain_count(site)
+        places = {name: at + i for i, name in enumerate(memory)}
+        at += len(places)
+        return cls(0, u, tuple(strain), places, at, at + 1, at + 2)

@@ -1,0 +1,327 @@
+"""Forces on links: contact with a local plane, springs between links, joint limits, servos.
+
+Every stiff force here is *implicit*: a spring and damper F = -K x - C v is evaluated at the end of the step,
+v + h a and x + h (v + h a), which gives
+
+    F = -K (x + h v) - C v - h (C + h K) a,
+
+so that its last term adds h (C + h K) to the inertia of the link or joint it acts on. The articulated-body algorithm
+carries that along at no cost (see `articulated.forward_dynamics`), and a stiff servo on a light toe, or stiff friction
+under it, is stable at a millisecond. With h = 0 the same functions give the plain force; Runge-Kutta uses that.
+
+Contact
+-------
+A site is a point, sphere or ellipsoid on a link; the ground is, for each site, a plane n . x = d (unit normal n, offset
+d) that terrain hands in. The contact point is the site's deepest.
+
+* **Normal**: N = k depth - c v_n, active from the moment of penetration until the force would pull: never adhesive.
+  Since the implicit term acts on an acceleration that is not known yet, it is let in only as far as the load allows:
+  its size is at most N / `PEEL_ACCELERATION`, so a surface torn away at up to that acceleration is never held back.
+* **Tangential**: a spring and damper from the *anchor*, the place where the foot last stuck. What is stored is the
+  strain, the displacement from the anchor [m], as a vector in the world: it needs no rebasing when the origin floats.
+  Its rate is the velocity of the material point that touches, so the same law serves a foot and a rolling wheel.
+  Where spring and damper ask for more than friction times load the foot slides, and the anchor is dragged along. The
+  implicit term while sliding is the derivative of the projection on the friction cone: it keeps the direction steady
+  and leaves the magnitude, Coulomb's, alone.
+* **Spin**: a patch of some radius resists turning about the normal in the same way, by friction times load times
+  2/3 of its radius (a disc under even pressure).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from echelon.warp_kernels.articulated import ContactLoad, Kinematics
+from echelon.warp_kernels.model import ContactSite, Joint, Model
+from echelon.warp_kernels.spatial import (
+    Matrix,
+    Vector,
+    add,
+    apply,
+    apply_transposed,
+    cross,
+    dot,
+    is_zero,
+    multiply,
+    negate,
+    scale,
+    skew,
+    subtract,
+    transpose,
+)
+from echelon.warp_kernels.trace import clamp, maximum, minimum, select, sqrt
+
+PEEL_ACCELERATION = 100.0
+"""Up to this acceleration of the link away from the ground, contact never pulls [m/s^2]."""
+
+SLIP_SPEED = 0.01
+"""Speed below which the friction of a site without an anchor fades, so that it does not depend on a sign [m/s]."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """What one site feels.
+
+    Attributes:
+        load: Force and implicit inertia on the link.
+        normal_force: Before the implicit correction, never negative [N].
+        depth: Of penetration, negative above the plane [m].
+        strain: New strain: three numbers in the world [m], and one angle [rad] if the site has a patch.
+        strain_rate: Its rate while touching [m/s], [rad/s], for integrators that advance it themselves.
+    """
+
+    load: ContactLoad
+    normal_force: Any
+    depth: Any
+    strain: Vector
+    strain_rate: Vector
+
+
+def strain_count(site: ContactSite) -> int:
+    """How many state variables a site keeps."""
+    if site.tangential_stiffness == 0.0:
+        return 0
+    return 4 if site.patch_radius > 0.0 else 3
+
+
+def contact(
+    kin: Kinematics, model: Model, site: ContactSite, plane: Sequence[Any], strain: Sequence[Any], step: Any, advance: Any
+) -> Contact:
+    """Contact of one site with its local plane.
+
+    Args:
+        plane: n_x, n_y, n_z (unit) and offset d [m] of n . x = d in the world.
+        strain: The site's strain at the end of the last step (see `Contact`).
+        step: h of the implicit terms [s]; 0 for the plain force.
+        advance: By how much the strain has grown since it was stored [s]: the step under semi-implicit Euler, 0
+            where the integrator advances the strain itself.
+    """
+    link = model.link_index(site.link)
+    place = kin.tree.node_of_link[link]
+    rotation, origin = kin.world(place)
+    omega, velocity = kin.omega[place], kin.velocity(place)
+
+    normal = apply_transposed(rotation, list(plane[:3]))
+    point = add(list(site.position), _deepest(site, normal))
+    height = dot(list(plane[:3]), origin) - plane[3] + dot(normal, point)
+    slip = add(velocity, cross(omega, point))
+    v_n = dot(normal, slip)
+    v_t = subtract(slip, scale(v_n, normal))
+
+    # Normal: spring and damper at the end of the step, never pulling.
+    k, c = site.stiffness, site.damping
+    touching = height < 0.0
+    N = select(touching, maximum(-k * height - (c + step * k) * v_n, 0.0), 0.0)
+    B_n = minimum(step * (c + step * k), N * (1.0 / PEEL_ACCELERATION)) if not is_zero(step) else 0.0
+
+    force, B, new_strain = _friction(rotation, normal, v_t, N, site, strain, step, advance)
+    force = add(force, scale(N, normal))
+    # B acts on the acceleration of the contact point: a + alpha x r, and w x (w x r) which is known.
+    B = [[B[i][j] + B_n * (normal[i] * normal[j]) for j in range(3)] for i in range(3)]
+    moment, torsion = _spin_friction(normal, omega, N, site, strain, step, advance)
+    rate: Vector = []
+    if strain_count(site) >= 3:
+        rate = [select(touching, x, 0.0) for x in apply(rotation, v_t)]
+    if strain_count(site) == 4:
+        new_strain = [*new_strain, torsion[1]]
+        rate = [*rate, select(touching, dot(normal, omega), 0.0)]
+    load = _load(kin, place, model, rotation, point, force, B, moment, torsion[0], normal)
+    return Contact(load, N, -height, new_strain, rate)
+
+
+def _deepest(site: ContactSite, normal: Vector) -> Vector:
+    """From the site's centre to its deepest point against a plane of this normal, in the link's axes."""
+    a, b, c = site.radii
+    if a == b == c:
+        return scale(-a, normal)
+    # Support point of an ellipsoid: -A^2 n / |A n|; the length cannot vanish, the normal being a unit vector.
+    squares = (a * a, b * b, c * c)
+    stretched = [squares[i] * normal[i] for i in range(3)]
+    length = sqrt(maximum(dot(stretched, normal), 1e-12))
+    return scale(-1.0 / length, stretched)
+
+
+def _friction(
+    rotation: Matrix,
+    normal: Vector,
+    v_t: Vector,
+    N: Any,
+    site: ContactSite,
+    strain: Sequence[Any],
+    step: Any,
+    advance: Any,
+) -> tuple[Vector, Matrix, Vector]:
+    """Tangential force (link's axes), its implicit matrix, and the new strain (world's axes)."""
+    limit = site.friction * N
+    c = site.tangential_damping
+    if site.tangential_stiffness == 0.0:
+        speed = sqrt(dot(v_t, v_t))
+        factor = limit / maximum(speed, SLIP_SPEED)
+        along = [[(1.0 if i == j else 0.0) - normal[i] * normal[j] for j in range(3)] for i in range(3)]
+        B: Any = step * factor if not is_zero(step) else 0.0
+        return scale(-factor, v_t), [[B * entry for entry in row] for row in along], []
+    k = site.tangential_stiffness
+    # The strain of the present positions, without what turned out of the plane.
+    s = add(apply_transposed(rotation, list(strain[:3])), scale(advance, v_t))
+    s = subtract(s, scale(dot(s, normal), normal))
+    trial = add(scale(k, s), scale(c + step * k, v_t))
+    size = sqrt(dot(trial, trial))
+    sliding = limit < size
+    inverse_size = 1.0 / maximum(size, 1e-9)
+    ratio = select(sliding, limit * inverse_size, 1.0)
+    t = scale(inverse_size, trial)
+    B_t = ratio * (step * (c + step * k)) if not is_zero(step) else 0.0
+    # Sticking: B_t (1 - n n^T); sliding, B_t (1 - n n^T - t t^T), the derivative of the projection on the cone.
+    across = select(sliding, 1.0, 0.0)
+    B = [
+        [B_t * ((1.0 if i == j else 0.0) - normal[i] * normal[j] - across * (t[i] * t[j])) for j in range(3)]
+        for i in range(3)
+    ]
+    force = scale(-ratio, trial)
+    # Sliding drags the anchor: spring and damper together give just the limit.
+    dragged = scale(1.0 / k, subtract(scale(limit, t), scale(c, v_t)))
+    touching = 0.0 < N
+    new = [select(touching, select(sliding, dragged[i], s[i]), 0.0) for i in range(3)]
+    return force, B, apply(rotation, new)
+
+
+def _spin_friction(
+    normal: Vector, omega: Vector, N: Any, site: ContactSite, strain: Sequence[Any], step: Any, advance: Any
+) -> tuple[Any, tuple[Any, Any]]:
+    """Moment about the normal, (its implicit coefficient, the new twist)."""
+    if strain_count(site) < 4:
+        return 0.0, (0.0, 0.0)
+    radius = site.patch_radius
+    k, c = site.tangential_stiffness * radius * radius, site.tangential_damping * radius * radius
+    limit = (2.0 / 3.0 * radius * site.friction) * N
+    rate = dot(normal, omega)
+    twist = strain[3] + advance * rate
+    trial = k * twist + (c + step * k) * rate
+    moment = -clamp(trial, -limit, limit)
+    sticking = select(limit < trial, 0.0, select(trial < -limit, 0.0, 1.0))
+    B = sticking * (step * (c + step * k)) if not is_zero(step) else 0.0
+    dragged = (-moment - c * rate) * (1.0 / k)
+    new = select(0.0 < N, select(sticking < 0.5, dragged, twist), 0.0)
+    return moment, (B, new)
+
+
+def _load(
+    kin: Kinematics,
+    place: int,
+    model: Model,
+    rotation: Matrix,
+    point: Vector,
+    force: Vector,
+    B: Matrix,
+    moment: Any,
+    B_spin: Any,
+    normal: Vector,
+) -> ContactLoad:
+    """Force at a point, its implicit matrix B, and a moment about the normal, carried to the link's origin."""
+    rx = skew(point)
+    coupling = multiply(rx, B)
+    inertia = multiply(coupling, transpose(rx))
+    if not is_zero(B_spin):
+        inertia = [[inertia[i][j] + B_spin * (normal[i] * normal[j]) for j in range(3)] for i in range(3)]
+    inertia = [[inertia[min(i, j)][max(i, j)] for j in range(3)] for i in range(3)]
+    mass = [[B[min(i, j)][max(i, j)] for j in range(3)] for i in range(3)]
+    # The true acceleration of the point is that of the algorithm, plus gravity, plus the centripetal part.
+    omega = kin.omega[place]
+    gravity = scale(-model.gravity, [rotation[2][0], rotation[2][1], rotation[2][2]])
+    known = add(gravity, cross(omega, cross(omega, point)))
+    force = subtract(force, apply(mass, known))
+    turning = cross(point, force)
+    if not is_zero(moment):
+        turning = add(turning, scale(moment, normal))
+    return ContactLoad(turning, force, inertia, coupling, mass)
+
+
+# ---- springs between links -----------------------------------------------------------------------------------------
+def spring_forces(kin: Kinematics, model: Model) -> dict[int, list[tuple[Vector, Vector]]]:
+    """(moment, force) on each link from the model's springs, in the link's axes about its origin; explicit."""
+    result: dict[int, list[tuple[Vector, Vector]]] = {}
+    for spring in model.springs:
+        ends = []
+        for name, position in ((spring.link_a, spring.position_a), (spring.link_b, spring.position_b)):
+            if name is None:
+                ends.append((None, list(position), [0.0, 0.0, 0.0], list(position)))
+                continue
+            place = kin.tree.node_of_link[model.link_index(name)]
+            rotation, origin = kin.world(place)
+            velocity = apply(rotation, add(kin.velocity(place), cross(kin.omega[place], list(position))))
+            ends.append((name, add(origin, apply(rotation, list(position))), velocity, list(position)))
+        gap = subtract(ends[1][1], ends[0][1])
+        rate = subtract(ends[1][2], ends[0][2])
+        if spring.rest_length == 0.0:
+            on_a = add(scale(spring.stiffness, gap), scale(spring.damping, rate))
+        else:
+            length = sqrt(maximum(dot(gap, gap), 1e-12))
+            along = scale(1.0 / length, gap)
+            on_a = scale(
+                spring.stiffness * (length - spring.rest_length) + spring.damping * dot(rate, along), along
+            )
+        for (name, _, _, position), force in zip(ends, (on_a, negate(on_a)), strict=True):
+            if name is None:
+                continue
+            link = model.link_index(name)
+            rotation, _ = kin.world(kin.tree.node_of_link[link])
+            local = apply_transposed(rotation, force)
+            result.setdefault(link, []).append((cross(position, local), local))
+    return result
+
+
+# ---- joints --------------------------------------------------------------------------------------------------------
+@dataclass
+class JointForces:
+    """Generalised forces and what their implicit part adds to each joint's inertia, one entry a speed."""
+
+    tau: list[Any]
+    implicit: list[Any]
+
+    @classmethod
+    def none(cls, count: int) -> JointForces:
+        return cls([0.0] * count, [0.0] * count)
+
+    def servo(self, speed: int, q: Any, u: Any, desired: Any, desired_rate: Any, kp: Any, kv: Any, step: Any) -> None:
+        """Add the servo tau = kp (desired - q) + kv (desired_rate - u) of a one-axis joint, implicitly.
+
+        Equation 6 of *Animating Human Athletics*. kp [N m/rad], kv [N m s/rad] (or N/m, N s/m).
+        """
+        self.tau[speed] = self.tau[speed] + (kp * (desired - q - step * u) + kv * (desired_rate - u))
+        self.implicit[speed] = self.implicit[speed] + step * (kv + step * kp)
+
+    def ball_servo(
+        self, speed: int, quaternion: Vector, omega: Vector, desired: Vector, kp: Any, kv: Any, step: Any
+    ) -> None:
+        """The same for a ball joint, towards a desired orientation (x, y, z, w) at rest; turns the shorter way."""
+        # Error quaternion from the present to the desired orientation, in the link's axes: conj(q) * desired.
+        x, y, z, w = [-quaternion[0], -quaternion[1], -quaternion[2], quaternion[3]]
+        dx, dy, dz, dw = desired
+        error = [
+            w * dx + x * dw + y * dz - z * dy,
+            w * dy - x * dz + y * dw + z * dx,
+            w * dz + x * dy - y * dx + z * dw,
+        ]
+        cosine = w * dw - x * dx - y * dy - z * dz
+        sign = select(cosine < 0.0, -2.0, 2.0)
+        for i in range(3):
+            self.tau[speed + i] = self.tau[speed + i] + (kp * (sign * error[i] - step * omega[i]) - kv * omega[i])
+            self.implicit[speed + i] = self.implicit[speed + i] + step * (kv + step * kp)
+
+    def limits(self, model: Model, q: Sequence[Any], u: Sequence[Any], step: Any) -> None:
+        """Add the springs and dampers that hold joints within their limits; they push back, never pull."""
+        for index, link in enumerate(model.links):
+            joint: Joint = link.joint
+            for axis, limit in enumerate(joint.limits):
+                if limit is None or joint.limit_stiffness == 0.0:
+                    continue
+                at_q, at_u = model.q_start(index) + axis, model.u_start(index) + axis
+                k, c = joint.limit_stiffness, joint.limit_damping
+                beyond = q[at_q] - clamp(q[at_q], limit[0], limit[1])
+                push = -k * (beyond + step * u[at_u]) - c * u[at_u]
+                above, below = 0.0 < beyond, beyond < 0.0
+                active = (above & (push < 0.0)) | (below & (0.0 < push))
+                self.tau[at_u] = self.tau[at_u] + select(active, push, 0.0)
+                self.implicit[at_u] = self.implicit[at_u] + select(active, step * (c + step * k), 0.0)

@@ -1,0 +1,466 @@
+"""The fused frame kernel: every agent through a whole frame in one launch.
+
+Within a frame an agent is alone with the ground beneath it, so a thread (a *block* of as many agents as the target
+has lanes) carries its agents from one frame boundary to the next and nobody waits:
+
+    rebase        the floating origin moves to where the root is, exactly, in float64
+    look up       ground and walls beneath and beside each contact site become local planes
+    tick x 8      control, then substeps with the state in registers
+    check         an agent whose state is no longer finite goes back to where it was, and stays there
+    observe       link poses, velocities, phase, flags and events, into the frame's slot of a chunk
+
+How agents are dealt out to lanes, blocks and threads cannot change a bit: no agent reads another's numbers, every
+operation is elementwise across lanes, and padding lanes hold an agent that nobody reads.
+"""
+
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+import warp as wp
+
+from echelon.warp_kernels.character import NO_EVENT, Character
+from echelon.warp_kernels.emit import Target, cpu_compiler_flags, host_lanes
+from echelon.warp_kernels.program import PLANE_SIZE, POSE_SIZE, Integrator, Program
+
+SURFACES = {"ground": 0, "wall": 1}
+
+THREAD_WORK = 4_000_000
+"""Agents times substeps times operations that are worth waking a second thread for, per frame."""
+
+
+class Terrain(Protocol):
+    """What gives contact sites their local planes.
+
+    Attributes:
+        data: A Warp struct instance that `look_up` reads.
+        look_up: Warp function (surface, point in the world, data) -> plane (n, d) in the world, float64.
+        rough: Whether a plane must be looked up every tick rather than every frame.
+    """
+
+    data: Any
+    look_up: Any
+    rough: bool
+
+
+@dataclass
+class ChunkArrays:
+    """What one chunk of frames leaves, on the device.
+
+    Attributes:
+        poses: Link poses relative to each agent's origin [m], shape [frames, agents, links, 7]
+        origins: Floating origins in the world [m],              shape [frames, agents, 3], float64
+        velocities: Of the first link, world axes [m/s],          shape [frames, agents, 3]
+        phases: Controller phase,                                 shape [frames, agents], int8
+        flags: Bit 0 a foot is loaded, 1 fallen, 2 frozen,        shape [frames, agents], uint8
+        events: Substep of each of the character's events or -1,  shape [frames, agents, events], int16
+    """
+
+    poses: wp.array
+    origins: wp.array
+    velocities: wp.array
+    phases: wp.array
+    flags: wp.array
+    events: wp.array
+
+    @classmethod
+    def allocate(cls, frames: int, agents: int, links: int, events: int, device: wp.DeviceLike = None) -> "ChunkArrays":
+        """Arrays for a chunk of `frames` frames."""
+
+        def zeros(shape: tuple[int, ...], dtype: Any) -> wp.array:
+            return wp.zeros(shape, dtype=dtype, device=device)
+
+        return cls(
+            poses=zeros((frames, agents, links, POSE_SIZE), wp.float32),
+            origins=zeros((frames, agents, 3), wp.float64),
+            velocities=zeros((frames, agents, 3), wp.float32),
+            phases=zeros((frames, agents), wp.int8),
+            flags=zeros((frames, agents), wp.uint8),
+            events=zeros((frames, agents, max(events, 1)), wp.int16),
+        )
+
+
+class Engine:
+    """All agents of one character: their state, and one launch a frame.
+
+    Args:
+        character: Who.
+        agent_count: How many.
+        terrain: Where.
+        frame_rate: Frames a second.
+        substeps: Substeps a frame.
+        tick: Substeps a control tick; divides `substeps`.
+        integrator: "semi-implicit" or "rk4".
+        lanes: Agents a vector; 0 for what the machine has (1 on a GPU).
+        threads: Threads on a CPU; 0 decides by the work there is.
+        device: A Warp device.
+    """
+
+    def __init__(
+        self,
+        character: Character,
+        agent_count: int,
+        terrain: Terrain,
+        *,
+        frame_rate: int = 30,
+        substeps: int = 40,
+        tick: int = 5,
+        integrator: Integrator = "semi-implicit",
+        lanes: int = 0,
+        threads: int = 0,
+        device: str = "cpu",
+    ) -> None:
+        cuda = device.startswith("cuda")
+        lanes = 1 if cuda else lanes or host_lanes()
+        if substeps % tick:
+            raise ValueError(f"{substeps} substeps are not a whole number of ticks of {tick}")
+        self.character = character
+        self.terrain = terrain
+        self.agent_count = agent_count
+        self.frame_rate = frame_rate
+        self.substeps = substeps
+        self.tick = tick
+        self.lanes = lanes
+        self.device = device
+        self.step = 1.0 / (frame_rate * substeps)
+        self.program = _program(character, self.step, tick * self.step, integrator, Target(lanes, cuda))
+        self.layout = self.program.layout
+        self.block_count = -(-agent_count // lanes)
+        self._kernel = _frame_kernel(self.program, terrain.look_up, type_of(terrain.data), terrain.rough)
+        body = character.body
+
+        def zeros(count: int, dtype: Any = wp.float32) -> wp.array:
+            return wp.zeros((self.block_count, max(count, 1), lanes), dtype=dtype, device=device)
+
+        self.state = zeros(self.layout.size)
+        self.parameters = zeros(len(character.parameters))
+        self.command = zeros(len(character.commands))
+        self.positions = wp.zeros(agent_count, dtype=wp.vec3, device=device)
+        self.velocities = wp.zeros(agent_count, dtype=wp.vec3, device=device)
+        self.origins = wp.zeros((self.block_count * lanes, 3), dtype=wp.float64, device=device)
+        self._backup = zeros(self.layout.size)
+        self._planes = zeros(PLANE_SIZE * len(body.contacts))
+        self._seen = zeros(self.program.seen_size)
+        self._surfaces = wp.array([SURFACES[site.surface] for site in body.contacts] or [0], dtype=int, device=device)
+        self._event_places = wp.array(
+            [self.layout.memory[name] for name in character.events] or [0], dtype=int, device=device
+        )
+        self._slices = self._divide(threads)
+        self._pool = ThreadPoolExecutor(len(self._slices) - 1) if len(self._slices) > 1 else None
+        self._launches: list[Any] = []
+        self._chunk: ChunkArrays | None = None
+        self.reset()
+
+    # ---- state -----------------------------------------------------------------------------------------------------
+    def reset(self) -> None:
+        """Everybody in the reference pose at the world's origin, with the usual parameters and memory."""
+        agents = self.block_count * self.lanes
+        self.set_q(np.tile(self.character.body.q_reference, (agents, 1)))
+        self.set_u(np.zeros((agents, self.character.body.u_count)))
+        for name, value in self.character.memory.items():
+            self.set_memory(name, np.full(agents, value))
+        for name, value in self.character.parameters.items():
+            self.set_parameter(name, np.full(agents, value))
+        self.origins.zero_()
+
+    def _spread(self, values: np.ndarray, count: int) -> np.ndarray:
+        """[agents, count] to [blocks, count, lanes]; padding lanes repeat the last agent."""
+        values = np.asarray(values, dtype=np.float32).reshape(-1, count)
+        total = self.block_count * self.lanes
+        if len(values) < total:
+            values = np.concatenate([values, np.repeat(values[-1:], total - len(values), axis=0)])
+        return values.reshape(self.block_count, self.lanes, count).transpose(0, 2, 1)
+
+    def _assign(self, array: wp.array, first: int, values: np.ndarray, count: int) -> None:
+        host = array.numpy()
+        host[:, first : first + count, :] = self._spread(values, count)
+        array.assign(host)
+
+    def _gather(self, array: wp.array, first: int, count: int) -> np.ndarray:
+        host = array.numpy()[:, first : first + count, :]
+        return host.transpose(0, 2, 1).reshape(-1, count)[: self.agent_count].copy()
+
+    def set_q(self, q: np.ndarray) -> None:
+        """Generalised positions, shape [agents, q_count]; a free root's position is relative to its origin [m]."""
+        self._assign(self.state, self.layout.q, q, self.character.body.q_count)
+
+    def set_u(self, u: np.ndarray) -> None:
+        """Generalised speeds, shape [agents, u_count]."""
+        self._assign(self.state, self.layout.u, u, self.character.body.u_count)
+
+    def set_memory(self, name: str, values: np.ndarray) -> None:
+        """One variable of the controllers' memory, shape [agents]."""
+        self._assign(self.state, self.layout.memory[name], values, 1)
+
+    def set_parameter(self, name: str, values: np.ndarray) -> None:
+        """One parameter of the individuals, shape [agents]."""
+        self._assign(self.parameters, self.program.parameter_names.index(name), values, 1)
+
+    def set_command(self, name: str, values: np.ndarray) -> None:
+        """One command, shape [agents]."""
+        self._assign(self.command, self.character.commands.index(name), values, 1)
+
+    def set_origins(self, origins: np.ndarray) -> None:
+        """Floating origins in the world [m], float64, shape [agents, 3]."""
+        host = self.origins.numpy()
+        origins = np.asarray(origins, dtype=np.float64)
+        host[: len(origins)] = origins
+        host[len(origins) :] = origins[-1]
+        self.origins.assign(host)
+
+    @property
+    def q(self) -> np.ndarray:
+        """Generalised positions, shape [agents, q_count], float32."""
+        return self._gather(self.state, self.layout.q, self.character.body.q_count)
+
+    @property
+    def u(self) -> np.ndarray:
+        """Generalised speeds, shape [agents, u_count], float32."""
+        return self._gather(self.state, self.layout.u, self.character.body.u_count)
+
+    def memory(self, name: str) -> np.ndarray:
+        """One variable of the controllers' memory, shape [agents], float32."""
+        return self._gather(self.state, self.layout.memory[name], 1)[:, 0]
+
+    @property
+    def frozen(self) -> np.ndarray:
+        """Which agents' state stopped being finite, shape [agents], bool."""
+        return self._gather(self.state, self.layout.frozen, 1)[:, 0] > 0.5
+
+    def full_state(self) -> dict[str, np.ndarray]:
+        """Everything that the next frame depends on, by agent: for checkpoints, and for comparing runs."""
+        return {
+            "state": self._gather(self.state, 0, self.layout.size),
+            "parameters": self._gather(self.parameters, 0, max(len(self.program.parameter_names), 1)),
+            "origins": self.origins.numpy()[: self.agent_count].copy(),
+        }
+
+    def load_full_state(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Back to what `full_state` gave."""
+        self._assign(self.state, 0, arrays["state"], self.layout.size)
+        self._assign(self.parameters, 0, arrays["parameters"], max(len(self.program.parameter_names), 1))
+        self.set_origins(arrays["origins"])
+
+    # ---- frames ----------------------------------------------------------------------------------------------------
+    def _divide(self, threads: int) -> list[tuple[int, int]]:
+        """(first block, count) for each thread."""
+        if self.device != "cpu":
+            return [(0, self.block_count)]
+        if threads <= 0:
+            work = self.agent_count * self.substeps * self.program.substep_operations
+            threads = min(os.cpu_count() or 1, max(1, work // THREAD_WORK))
+        threads = max(1, min(threads, self.block_count))
+        bounds = [self.block_count * i // threads for i in range(threads + 1)]
+        return [(a, b - a) for a, b in zip(bounds, bounds[1:], strict=False)]
+
+    def bind(self, chunk: ChunkArrays) -> None:
+        """Choose the chunk that frames are observed into, and record the launches."""
+        self._chunk = chunk
+        self._launches = [
+            wp.launch(
+                self._kernel,
+                dim=count,
+                inputs=[first, self.agent_count, self.substeps // self.tick, self.tick, 0, self.terrain.data]
+                + [self._surfaces, self._event_places, self.parameters, self.command],
+                outputs=[self.state, self.origins, self._backup, self._planes, self._seen, self.positions]
+                + [self.velocities, chunk.poses, chunk.origins, chunk.velocities, chunk.phases, chunk.flags]
+                + [chunk.events],
+                device=self.device,
+                record_cmd=True,
+                block_dim=64,
+            )
+            for first, count in self._slices
+        ]
+
+    def advance(self, slot: int, *, observe_only: bool = False) -> None:
+        """Carry everybody through one frame and leave what is seen in a slot of the bound chunk.
+
+        Args:
+            slot: Frame within the chunk.
+            observe_only: Do not move; only observe (the first frame of a run).
+        """
+        ticks = 0 if observe_only else self.substeps // self.tick
+        for launch in self._launches:
+            launch.set_param_at_index(2, ticks)
+            launch.set_param_at_index(4, slot)
+        if self._pool is None:
+            for launch in self._launches:
+                launch.launch()
+            return
+        waiting = [self._pool.submit(launch.launch) for launch in self._launches[1:]]
+        self._launches[0].launch()
+        for future in waiting:
+            future.result()
+
+    def close(self) -> None:
+        """Let the threads go."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+
+def type_of(data: Any) -> Any:
+    """The Warp type to annotate a kernel argument with that takes this struct instance."""
+    return data._cls
+
+
+@lru_cache(maxsize=32)
+def _program(character: Character, step: float, tick: float, integrator: Integrator, target: Target) -> Program:
+    return Program(character, step, tick, integrator, target)
+
+
+@lru_cache(maxsize=64)
+def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool) -> Any:
+    """The frame kernel of one program on one kind of terrain."""
+    lanes = program.target.lanes
+    layout = program.layout
+    body = program.character.body
+    control, substeps, observe = program.control, program.substeps, program.observe
+    state_size = layout.size
+    site_count = len(body.contacts)
+    link_count = len(body.links)
+    event_count = len(program.character.events)
+    free_root = body.links[0].joint.kind == "free"
+    phase_at, fallen_at, loaded_at = (layout.memory[name] for name in ("phase", "fallen", "loaded"))
+    substep_at, frozen_at = layout.substep, layout.frozen
+    root_q = layout.q
+    velocity_at = POSE_SIZE * link_count
+
+    @wp.func
+    def look_up_planes(
+        block: int,
+        lane: int,
+        terrain: terrain_type,
+        surfaces: wp.array[int],
+        state: wp.array3d[wp.float32],
+        origins: wp.array2d[wp.float64],
+        planes_out: wp.array3d[wp.float32],
+    ):
+        """Planes of all sites of one agent, looked up where its root is, relative to its origin."""
+        agent = block * lanes + lane
+        origin = wp.vec3d(origins[agent, 0], origins[agent, 1], origins[agent, 2])
+        point = origin
+        if wp.static(free_root):
+            point = origin + wp.vec3d(
+                wp.float64(state[block, root_q, lane]),
+                wp.float64(state[block, root_q + 1, lane]),
+                wp.float64(state[block, root_q + 2, lane]),
+            )
+        for site in range(site_count):
+            plane = look_up(surfaces[site], point, terrain)
+            offset = plane[3] - plane[0] * origin[0] - plane[1] * origin[1] - plane[2] * origin[2]
+            planes_out[block, 4 * site, lane] = wp.float32(plane[0])
+            planes_out[block, 4 * site + 1, lane] = wp.float32(plane[1])
+            planes_out[block, 4 * site + 2, lane] = wp.float32(plane[2])
+            planes_out[block, 4 * site + 3, lane] = wp.float32(offset)
+
+    @wp.kernel(module="unique", module_options=_module_options(program), enable_backward=False)
+    def advance_frame(
+        first_block: int,
+        agent_count: int,
+        tick_count: int,
+        tick: int,
+        slot: int,
+        # where
+        terrain: terrain_type,
+        surfaces: wp.array[int],
+        event_places: wp.array[int],
+        # who
+        parameters: wp.array3d[wp.float32],
+        command: wp.array3d[wp.float32],
+        # state
+        state: wp.array3d[wp.float32],
+        origins: wp.array2d[wp.float64],
+        backup: wp.array3d[wp.float32],
+        planes: wp.array3d[wp.float32],
+        seen: wp.array3d[wp.float32],
+        # out: what the group sees
+        positions_out: wp.array[wp.vec3],
+        velocities_out: wp.array[wp.vec3],
+        # out: the recording
+        poses_out: wp.array4d[wp.float32],
+        origins_out: wp.array3d[wp.float64],
+        chunk_velocities_out: wp.array3d[wp.float32],
+        phases_out: wp.array2d[wp.int8],
+        flags_out: wp.array2d[wp.uint8],
+        events_out: wp.array3d[wp.int16],
+    ):
+        block = first_block + wp.tid()
+        for lane in range(lanes):
+            agent = block * lanes + lane
+            if wp.static(free_root):
+                for axis in range(3):
+                    origins[agent, axis] = origins[agent, axis] + wp.float64(state[block, root_q + axis, lane])
+                    state[block, root_q + axis, lane] = wp.float32(0.0)
+            for event in range(event_count):
+                state[block, event_places[event], lane] = wp.float32(NO_EVENT)
+            state[block, substep_at, lane] = wp.float32(0.0)
+        for variable in range(state_size):
+            for lane in range(lanes):
+                backup[block, variable, lane] = state[block, variable, lane]
+        for lane in range(lanes):
+            look_up_planes(block, lane, terrain, surfaces, state, origins, planes)
+
+        for count in range(tick_count):
+            if wp.static(rough):
+                if count > 0:
+                    for lane in range(lanes):
+                        look_up_planes(block, lane, terrain, surfaces, state, origins, planes)
+            control(state, parameters, command, block)
+            substeps(state, parameters, command, planes, block, tick)
+
+        # Whatever is not finite, or was frozen before, stays where it was at the start of the frame.
+        for lane in range(lanes):
+            total = float(0.0)
+            for variable in range(state_size):
+                total += state[block, variable, lane] * 0.0
+            if total != 0.0 or backup[block, frozen_at, lane] > 0.5:
+                for variable in range(state_size):
+                    state[block, variable, lane] = backup[block, variable, lane]
+                state[block, frozen_at, lane] = wp.float32(1.0)
+
+        observe(state, seen, block)
+        for lane in range(lanes):
+            agent = block * lanes + lane
+            if agent < agent_count:
+                for link in range(link_count):
+                    for part in range(7):
+                        poses_out[slot, agent, link, part] = seen[block, 7 * link + part, lane]
+                for axis in range(3):
+                    origins_out[slot, agent, axis] = origins[agent, axis]
+                    chunk_velocities_out[slot, agent, axis] = seen[block, velocity_at + axis, lane]
+                phases_out[slot, agent] = wp.int8(state[block, phase_at, lane])
+                flags = wp.int32(0)
+                if state[block, loaded_at, lane] > 0.5:
+                    flags += 1
+                if state[block, fallen_at, lane] > 0.5:
+                    flags += 2
+                if state[block, frozen_at, lane] > 0.5:
+                    flags += 4
+                flags_out[slot, agent] = wp.uint8(flags)
+                for event in range(event_count):
+                    events_out[slot, agent, event] = wp.int16(state[block, event_places[event], lane])
+                positions_out[agent] = wp.vec3(
+                    wp.float32(origins[agent, 0] + wp.float64(seen[block, 0, lane])),
+                    wp.float32(origins[agent, 1] + wp.float64(seen[block, 1, lane])),
+                    wp.float32(origins[agent, 2] + wp.float64(seen[block, 2, lane])),
+                )
+                velocities_out[agent] = wp.vec3(
+                    seen[block, velocity_at, lane],
+                    seen[block, velocity_at + 1, lane],
+                    seen[block, velocity_at + 2, lane],
+                )
+
+    return advance_frame
+
+
+def _module_options(program: Program) -> dict[str, Any]:
+    options: dict[str, Any] = {"enable_backward": False}
+    if not program.target.cuda:
+        options["cpu_compiler_flags"] = cpu_compiler_flags(program.target.lanes)
+    return options

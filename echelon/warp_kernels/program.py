@@ -1,0 +1,344 @@
+"""A character as native code: its controller, its substep and what is seen of it, each one emitted function.
+
+`Program` traces a `Character` once for a given step and target and holds the three native Warp functions that
+`frame` calls:
+
+* ``control(state, parameters, command, block)``: one control tick;
+* ``substeps(state, parameters, command, planes, block, count)``: ``count`` substeps, the state held in registers;
+* ``observe(state, seen, block)``: link poses and velocities at the end of a frame.
+
+All arrays are ``[block, variable, lane]`` of float32.
+
+One substep under semi-implicit Euler is: kinematics; contacts; control's torques; articulated-body dynamics with every
+stiff term taken implicitly; speeds; then positions with the new speeds. Strains grow at the beginning of a substep
+with the speeds that the last one ended with, which is the same update. Runge-Kutta first settles contacts (drags and
+releases anchors) and latches, then calls one right-hand side four times.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import warp as wp
+
+from echelon.warp_kernels import articulated
+from echelon.warp_kernels.character import Character, StateLayout, View
+from echelon.warp_kernels.contact import Contact, JointForces, contact, spring_forces, strain_count
+from echelon.warp_kernels.emit import Target, operation_count, statements
+from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions
+from echelon.warp_kernels.spatial import (
+    Vector,
+    apply,
+    quaternion_normalized,
+    quaternion_product,
+    scale,
+)
+from echelon.warp_kernels.trace import Expr, Graph, sincos
+
+Integrator = Literal["semi-implicit", "rk4"]
+PLANE_SIZE = 4  # n_x, n_y, n_z, d of the local plane of one contact site
+POSE_SIZE = 7
+SEEN_EXTRA = 6  # after the poses: velocity of the first link's origin and its angular velocity, world axes
+
+
+@dataclass(frozen=True)
+class _Variables:
+    """The state of one agent as scalars."""
+
+    q: list[Any]
+    u: list[Any]
+    strains: list[list[Any]]
+    memory: dict[str, Any]
+    substep: Any
+
+
+@dataclass(frozen=True)
+class SubstepResult:
+    """What one substep's evaluation gives."""
+
+    qdd: list[Any]
+    strains: list[list[Any]]
+    strain_rates: list[list[Any]]
+    memory: dict[str, Any]
+
+
+def evaluate_substep(
+    character: Character,
+    state: _Variables,
+    parameters: dict[str, Any],
+    command: dict[str, Any],
+    planes: Sequence[Sequence[Any]],
+    step: float,
+    tick: float,
+    implicit_step: float,
+    advance: float,
+) -> SubstepResult:
+    """Contacts, torques and accelerations of one agent: the physics of a substep, over any scalars.
+
+    Args:
+        step, tick: Length of a substep and of a control tick [s].
+        implicit_step: Length of a substep where stiff forces are taken implicitly, 0 where they are plain.
+        advance: By how much strains have grown since they were stored [s].
+    """
+    body = character.body
+    kin = articulated.kinematics(body.tree, state.q, state.u)
+    contacts: dict[str, Contact] = {}
+    loads: dict[int, list[Any]] = {}
+    for site, plane, strain in zip(body.contacts, planes, state.strains, strict=True):
+        found = contact(kin, body, site, plane, strain, implicit_step, advance)
+        contacts[site.name] = found
+        loads.setdefault(body.link_index(site.link), []).append(found.load)
+    joints = JointForces.none(body.u_count)
+    joints.limits(body, state.q, state.u, implicit_step)
+    view = View(
+        state.q, state.u, kin, dict(state.memory), parameters, command, state.substep, step, tick, implicit_step, contacts
+    )
+    character.actuate(view, joints)
+    qdd = articulated.forward_dynamics(kin, joints.tau, joints.implicit, loads, spring_forces(kin, body))
+    found_in_order = [contacts[site.name] for site in body.contacts]
+    return SubstepResult(qdd, [c.strain for c in found_in_order], [c.strain_rate for c in found_in_order], view.memory)
+
+
+class Program:
+    """A character compiled for one step length, integrator and target.
+
+    Attributes:
+        character: What was compiled.
+        layout: Where each state variable stands.
+        target: Lanes and kind of processor.
+        substep_operations: Arithmetic operations of one substep, for reports.
+        key: A name that changes exactly when the code does.
+    """
+
+    def __init__(self, character: Character, step: float, tick: float, integrator: Integrator, target: Target) -> None:
+        self.character = character
+        self.step = step
+        self.tick = tick
+        self.integrator = integrator
+        self.target = target
+        self.layout = StateLayout.of(character.body, character.memory)
+        self.parameter_names = tuple(character.parameters)
+        self.seen_size = POSE_SIZE * len(character.body.links) + SEEN_EXTRA
+        self.substep_operations = 0
+        sources = {
+            "control": self._control_source(),
+            "substeps": self._substeps_source(),
+            "observe": self._observe_source(),
+        }
+        self.sources = sources
+        self.key = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:12]
+        self.control = self._native(sources["control"], _control_stub)
+        self.substeps = self._native(sources["substeps"], _substeps_stub)
+        self.observe = self._native(sources["observe"], _observe_stub)
+
+    @staticmethod
+    def _native(source: str, stub: Any) -> Any:
+        return wp.func_native(source)(stub)
+
+    # ---- inputs ----------------------------------------------------------------------------------------------------
+    def _variables(self, graph: Graph, array: str = "s") -> _Variables:
+        layout, body = self.layout, self.character.body
+        return _Variables(
+            q=[graph.input(f"{array}[{layout.q + i}]") for i in range(body.q_count)],
+            u=[graph.input(f"{array}[{layout.u + i}]") for i in range(body.u_count)],
+            strains=[
+                [graph.input(f"{array}[{start + i}]") for i in range(strain_count(site))]
+                for site, start in zip(body.contacts, layout.strain, strict=True)
+            ],
+            memory={name: graph.input(f"s[{at}]") for name, at in layout.memory.items()},
+            substep=graph.input(f"s[{layout.substep}]"),
+        )
+
+    def _parameters(self, graph: Graph) -> dict[str, Any]:
+        return {name: graph.input(f"p[{i}]") for i, name in enumerate(self.parameter_names)}
+
+    def _command(self, graph: Graph) -> dict[str, Any]:
+        return {name: graph.input(f"c[{i}]") for i, name in enumerate(self.character.commands)}
+
+    def _planes(self, graph: Graph) -> list[list[Any]]:
+        count = len(self.character.body.contacts)
+        return [[graph.input(f"g[{PLANE_SIZE * site + i}]") for i in range(PLANE_SIZE)] for site in range(count)]
+
+    # ---- sources ---------------------------------------------------------------------------------------------------
+    def _pointer(self, name: str, array: str, size: int) -> str:
+        return f"lanes_in_memory* {name} = (lanes_in_memory*)({array}.data) + (size_t)block * {max(size, 1)};\n"
+
+    def _load_inputs(self, with_planes: bool) -> str:
+        """Copies of what does not change during the call: a reference to memory would be read again and again."""
+        code = self._pointer("P", "parameters", len(self.parameter_names))
+        code += self._pointer("C", "command", len(self.character.commands))
+        sizes = [("p", "P", len(self.parameter_names)), ("c", "C", len(self.character.commands))]
+        if with_planes:
+            plane_count = PLANE_SIZE * len(self.character.body.contacts)
+            code += self._pointer("G", "planes", plane_count)
+            sizes.append(("g", "G", plane_count))
+        for local, pointer, size in sizes:
+            code += f"lanes {local}[{max(size, 1)}];\nfor (int i = 0; i < {size}; ++i) {local}[i] = {pointer}[i];\n"
+        return code
+
+    def _control_source(self) -> str:
+        graph = Graph()
+        state = self._variables(graph)
+        kin = articulated.kinematics(self.character.body.tree, state.q, state.u)
+        view = View(
+            state.q,
+            state.u,
+            kin,
+            dict(state.memory),
+            self._parameters(graph),
+            self._command(graph),
+            state.substep,
+            self.step,
+            self.tick,
+            self.step,
+        )
+        self.character.control(view)
+        outputs = self._changed_memory(graph, state, view.memory)
+        code = self.target.preamble + self._pointer("s", "state", self.layout.size) + self._load_inputs(False)
+        return code + statements(graph, outputs, self.target)
+
+    def _changed_memory(self, graph: Graph, before: _Variables, after: dict[str, Any]) -> list[tuple[str, Expr]]:
+        unknown = sorted(set(after) - set(before.memory))
+        if unknown:
+            raise ValueError(f"character {self.character.name!r}: memory {unknown[0]!r} was never declared")
+        return [
+            (f"s[{self.layout.memory[name]}]", graph.lift(value))
+            for name, value in after.items()
+            if not (isinstance(value, Expr) and value.index == before.memory[name].index)
+        ]
+
+    def _substeps_source(self) -> str:
+        size = self.layout.size
+        code = self.target.preamble + self._pointer("S", "state", size) + self._load_inputs(True)
+        code += f"lanes s[{size}];\nfor (int i = 0; i < {size}; ++i) s[i] = S[i];\n"
+        code += "for (int k = 0; k < count; ++k) {\n"
+        code += self._semi_implicit() if self.integrator == "semi-implicit" else self._runge_kutta()
+        code += "}\n"
+        return code + f"for (int i = 0; i < {size}; ++i) S[i] = s[i];\n"
+
+    def _semi_implicit(self) -> str:
+        graph, h = Graph(), self.step
+        state = self._variables(graph)
+        result = evaluate_substep(
+            self.character, state, self._parameters(graph), self._command(graph), self._planes(graph), h, self.tick, h, h
+        )
+        tree, layout = self.character.body.tree, self.layout
+        u = [a + h * b for a, b in zip(state.u, result.qdd, strict=True)]
+        q = semi_implicit_positions(tree, state.q, u, h)
+        outputs = [(f"s[{layout.q + i}]", graph.lift(value)) for i, value in enumerate(q)]
+        outputs += [(f"s[{layout.u + i}]", graph.lift(value)) for i, value in enumerate(u)]
+        outputs += self._strain_outputs(graph, result.strains, "s", 0)
+        outputs += self._changed_memory(graph, state, result.memory)
+        outputs.append((f"s[{layout.substep}]", graph.lift(state.substep + 1.0)))
+        self.substep_operations = operation_count(graph, [value for _, value in outputs])
+        return statements(graph, outputs, self.target)
+
+    def _runge_kutta(self) -> str:
+        h, layout, body = self.step, self.layout, self.character.body
+        # Settle: anchors dragged and released, latches and memory, all at the start of the step.
+        graph = Graph()
+        state = self._variables(graph)
+        settled = evaluate_substep(
+            self.character, state, self._parameters(graph), self._command(graph), self._planes(graph), h, self.tick, 0.0, 0.0
+        )
+        outputs = self._strain_outputs(graph, settled.strains, "s", 0)
+        outputs += self._changed_memory(graph, state, settled.memory)
+        self.substep_operations = operation_count(graph, [value for _, value in outputs])
+        code = "{\n" + statements(graph, outputs, self.target, "a") + "}\n"
+        # Right-hand side: rates d[] of y[], the leading part of the state (q, u, strains).
+        count = layout.u + body.u_count + sum(strain_count(site) for site in body.contacts)
+        graph = Graph()
+        state = self._variables(graph, "y")
+        rates = evaluate_substep(
+            self.character, state, self._parameters(graph), self._command(graph), self._planes(graph), h, self.tick, 0.0, 0.0
+        )
+        q_rate = position_rate(body.tree, state.q, state.u)
+        outputs = [(f"d[{layout.q + i}]", graph.lift(value)) for i, value in enumerate(q_rate)]
+        outputs += [(f"d[{layout.u + i}]", graph.lift(value)) for i, value in enumerate(rates.qdd)]
+        outputs += self._strain_outputs(graph, rates.strain_rates, "d", 0)
+        self.substep_operations += 4 * operation_count(graph, [value for _, value in outputs])
+        fma = self.target.function("fma")
+        code += f"lanes y[{count}], total[{count}];\n"
+        code += f"for (int i = 0; i < {count}; ++i) {{ y[i] = s[i]; total[i] = s[i]; }}\n"
+        code += "for (int stage = 0; stage < 4; ++stage) {\n"
+        code += f"lanes d[{count}];\n" + statements(graph, outputs, self.target, "b")
+        code += f"const lanes weight = (lanes)((stage == 0 || stage == 3) ? {(h / 6):.9g}f : {(h / 3):.9g}f);\n"
+        code += f"const lanes ahead = (lanes)(stage == 2 ? {h:.9g}f : {(h / 2):.9g}f);\n"
+        code += f"for (int i = 0; i < {count}; ++i) {{ total[i] = {fma}(weight, d[i], total[i]); "
+        code += f"y[i] = {fma}(ahead, d[i], s[i]); }}\n}}\n"
+        code += f"for (int i = 0; i < {count}; ++i) s[i] = total[i];\n"
+        # Quaternions back to unit length.
+        graph = Graph()
+        state = self._variables(graph)
+        outputs = []
+        for node in body.tree.nodes:
+            if node.kind in ("free", "ball"):
+                start = node.q + (3 if node.kind == "free" else 0)
+                unit = quaternion_normalized(state.q[start : start + 4])
+                outputs += [(f"s[{start + i}]", graph.lift(value)) for i, value in enumerate(unit)]
+        outputs.append((f"s[{layout.substep}]", graph.lift(state.substep + 1.0)))
+        return code + "{\n" + statements(graph, outputs, self.target, "c") + "}\n"
+
+    def _strain_outputs(
+        self, graph: Graph, strains: Sequence[Sequence[Any]], array: str, first: int
+    ) -> list[tuple[str, Expr]]:
+        return [
+            (f"{array}[{start - first + i}]", graph.lift(value))
+            for start, values in zip(self.layout.strain, strains, strict=True)
+            for i, value in enumerate(values)
+        ]
+
+    def _observe_source(self) -> str:
+        graph = Graph()
+        state = self._variables(graph)
+        body = self.character.body
+        kin = articulated.kinematics(body.tree, state.q, state.u)
+        values: list[Any] = []
+        for pose in link_poses(kin):
+            values += pose
+        rotation, _ = kin.world(body.tree.node_of_link[0])
+        values += apply(rotation, kin.velocity(body.tree.node_of_link[0]))
+        values += apply(rotation, kin.omega[body.tree.node_of_link[0]])
+        outputs = [(f"O[{i}]", graph.lift(value)) for i, value in enumerate(values)]
+        code = self.target.preamble + self._pointer("s", "state", self.layout.size)
+        code += self._pointer("O", "seen", self.seen_size)
+        return code + statements(graph, outputs, self.target)
+
+
+def link_poses(kin: articulated.Kinematics) -> list[Vector]:
+    """Pose of every link in the world, quaternions chained from the joints' (no sign is chosen)."""
+    turns: list[Vector] = []
+    for place, node in enumerate(kin.tree.nodes):
+        if node.kind == "free":
+            turn = list(kin.q[node.q + 3 : node.q + 7])
+        elif node.kind == "ball":
+            turn = list(kin.q[node.q : node.q + 4])
+        elif node.kind == "revolute":
+            sine, cosine = sincos(0.5 * kin.q[node.q])
+            turn = [*scale(sine, list(node.axis)), cosine]
+        else:
+            turn = [0.0, 0.0, 0.0, 1.0]
+        turns.append(turn if node.parent < 0 else quaternion_product(turns[node.parent], turn))
+    return [[*kin.world(place)[1], *turns[place]] for place in kin.tree.node_of_link]
+
+
+# Typed stubs of the native functions; their arguments are the names that the emitted code uses.
+def _control_stub(
+    state: wp.array3d[wp.float32], parameters: wp.array3d[wp.float32], command: wp.array3d[wp.float32], block: int
+): ...
+
+
+def _substeps_stub(
+    state: wp.array3d[wp.float32],
+    parameters: wp.array3d[wp.float32],
+    command: wp.array3d[wp.float32],
+    planes: wp.array3d[wp.float32],
+    block: int,
+    count: int,
+): ...
+
+
+def _observe_stub(state: wp.array3d[wp.float32], seen: wp.array3d[wp.float32], block: int): ...
