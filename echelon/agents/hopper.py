@@ -158,11 +158,12 @@ def hopper_model() -> Model:
                 (0.0, 0.0, -LEG_LENGTH),
                 radii=(FOOT_RADIUS,) * 3,
                 stiffness=80_000.0,
-                damping=350.0,
+                damping=250.0,
                 tangential_stiffness=60_000.0,
-                tangential_damping=250.0,
+                tangential_damping=150.0,
                 friction=1.0,
                 patch_radius=0.035,
+                law="soft",
             ),
             ContactSite(
                 BELLY,
@@ -175,6 +176,8 @@ def hopper_model() -> Model:
                 tangential_damping=400.0,
                 friction=0.7,
                 patch_radius=0.06,
+                law="soft",
+                use="rare",
             ),
             ContactSite(
                 BUMPER,
@@ -186,6 +189,8 @@ def hopper_model() -> Model:
                 damping=300.0,
                 tangential_stiffness=0.0,
                 friction=0.2,
+                law="soft",
+                use="rare",
             ),
         ),
     )

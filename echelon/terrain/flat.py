@@ -42,11 +42,13 @@ class FlatTerrain:
     Attributes:
         data: What `look_up` reads.
         look_up: The Warp function that gives a site its local plane.
+        level: Whether the ground's normal is +z everywhere; it is.
         rough: Whether planes change within a frame; here never.
     """
 
     data: WallGrid
     look_up = look_up_flat
+    level = True
     rough = False
 
     @classmethod

@@ -167,22 +167,31 @@ class Kinematics:
                 )
         return self._world[place]
 
-    def velocity(self, place: int) -> Vector:
-        """Velocity of a node's origin in its own axes [m/s]."""
+    def world_velocity(self, place: int) -> Vector:
+        """Velocity of a node's origin along the world's axes [m/s]."""
         if place not in self._velocity:
             node = self.tree.nodes[place]
             if node.kind == "free":
-                at_origin = list(self.u[node.u : node.u + 3])
+                velocity = list(self.u[node.u : node.u + 3])
             elif node.parent < 0:
-                at_origin = [0.0, 0.0, 0.0]
+                velocity = [0.0, 0.0, 0.0]
             else:
                 parent = node.parent
-                at_origin = add(self.velocity(parent), cross(self.omega[parent], self.offset[place]))
-            velocity = apply_transposed(self.rotation[place], at_origin)
-            if node.kind == "prismatic":
-                velocity = add(velocity, scale(self.u[node.u], list(node.axis)))
+                turn, _ = self.world(parent)
+                velocity = self.world_velocity(parent)
+                relative = cross(self.omega[parent], self.offset[place])
+                if node.kind == "prismatic":
+                    relative = add(relative, scale(self.u[node.u], list(node.axis)))
+                if not all(is_zero(x) for x in relative):
+                    velocity = add(velocity, apply(turn, relative))
+            if node.parent < 0 and node.kind == "prismatic":
+                velocity = scale(self.u[node.u], list(node.axis))
             self._velocity[place] = velocity
         return self._velocity[place]
+
+    def velocity(self, place: int) -> Vector:
+        """Velocity of a node's origin in its own axes [m/s]."""
+        return apply_transposed(self.world(place)[0], self.world_velocity(place))
 
 
 def kinematics(tree: Tree, q: Sequence[Any], u: Sequence[Any]) -> Kinematics:
@@ -500,9 +509,9 @@ def _accumulate(first: ArticulatedInertia | None, second: ArticulatedInertia) ->
     if first is None:
         return second
     return ArticulatedInertia(
-        _symmetric(lambda i, j: first.inertia[i][j] + second.inertia[i][j], None),
+        _sum(first.inertia, second.inertia),
         _sum(first.coupling, second.coupling),
-        _symmetric(lambda i, j: first.mass[i][j] + second.mass[i][j], None),
+        _sum(first.mass, second.mass),
         add(first.moment, second.moment),
         add(first.force, second.force),
     )

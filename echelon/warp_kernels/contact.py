@@ -51,13 +51,16 @@ from echelon.warp_kernels.spatial import (
     subtract,
     transpose,
 )
-from echelon.warp_kernels.trace import clamp, maximum, minimum, select, sqrt
+from echelon.warp_kernels.trace import clamp, guarded, maximum, minimum, select, sqrt
 
 PEEL_ACCELERATION = 100.0
 """Up to this acceleration of the link away from the ground, contact never pulls [m/s^2]."""
 
 SLIP_SPEED = 0.01
 """Speed below which the friction of a site without an anchor fades, so that it does not depend on a sign [m/s]."""
+
+
+NO_MATRIX: Matrix = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
 
 
 @dataclass(frozen=True)
@@ -98,37 +101,89 @@ def contact(
         advance: By how much the strain has grown since it was stored [s]: the step under semi-implicit Euler, 0
             where the integrator advances the strain itself.
     """
-    link = model.link_index(site.link)
-    place = kin.tree.node_of_link[link]
+    place = kin.tree.node_of_link[model.link_index(site.link)]
     rotation, origin = kin.world(place)
-    omega, velocity = kin.omega[place], kin.velocity(place)
-
     normal = apply_transposed(rotation, list(plane[:3]))
     point = add(list(site.position), _deepest(site, normal))
     height = dot(list(plane[:3]), origin) - plane[3] + dot(normal, point)
-    slip = add(velocity, cross(omega, point))
-    v_n = dot(normal, slip)
-    v_t = subtract(slip, scale(v_n, normal))
+    touching = height < 0.0
+    implicit_step = 0.0 if site.law == "soft" else step
+    if site.use == "usual":
+        return _touch(kin, model, site, plane, strain, implicit_step, advance, normal, point, height, touching)
+    # A rare site: all that follows is skipped while nobody touches.
+    found = _touch(kin, model, site, plane, strain, implicit_step, advance, normal, point, height, touching)
+    load = found.load
+    blocks = [*_upper(load.inertia), *_entries(load.coupling), *_upper(load.mass)] if not is_zero(implicit_step) else []
+    values = [*load.moment, *load.force, found.normal_force, *found.strain, *found.strain_rate, *blocks]
+    values = guarded(touching, values)
+    moment, force, N = values[0:3], values[3:6], values[6]
+    count = len(found.strain)
+    strains, rates = values[7 : 7 + count], values[7 + count : 7 + 2 * count]
+    if blocks:
+        rest = values[7 + 2 * count :]
+        load = ContactLoad(
+            moment, force, _from_upper(rest[0:6]), [rest[6:9], rest[9:12], rest[12:15]], _from_upper(rest[15:21])
+        )
+    else:
+        load = ContactLoad(moment, force, load.inertia, load.coupling, load.mass)
+    return Contact(load, N, -height, strains, rates)
+
+
+def _touch(
+    kin: Kinematics,
+    model: Model,
+    site: ContactSite,
+    plane: Sequence[Any],
+    strain: Sequence[Any],
+    step: Any,
+    advance: Any,
+    normal: Vector,
+    point: Vector,
+    height: Any,
+    touching: Any,
+) -> Contact:
+    """The contact of a site whose contact point and height over the plane are known; normal and point in link axes."""
+    place = kin.tree.node_of_link[model.link_index(site.link)]
+    rotation, _ = kin.world(place)
+    omega = kin.omega[place]
+    n = list(plane[:3])
+    # Velocity of the material point that touches, along the world's axes, and its parts.
+    slip = add(kin.world_velocity(place), apply(rotation, cross(omega, point)))
+    v_n = dot(n, slip)
+    v_t = _tangential(slip, v_n, n)
 
     # Normal: spring and damper at the end of the step, never pulling.
     k, c = site.stiffness, site.damping
-    touching = height < 0.0
     N = select(touching, maximum(-k * height - (c + step * k) * v_n, 0.0), 0.0)
-    B_n = minimum(step * (c + step * k), N * (1.0 / PEEL_ACCELERATION)) if not is_zero(step) else 0.0
+    B_n = 0.0 if is_zero(step) else minimum(step * (c + step * k), N * (1.0 / PEEL_ACCELERATION))
 
-    force, B, new_strain = _friction(rotation, normal, v_t, N, site, strain, step, advance)
-    force = add(force, scale(N, normal))
+    force, B, new_strain = _friction(rotation, normal, n, v_t, N, site, strain, step, advance)
+    force = apply_transposed(rotation, add(force, scale(N, n)))
     # B acts on the acceleration of the contact point: a + alpha x r, and w x (w x r) which is known.
-    B = [[B[i][j] + B_n * (normal[i] * normal[j]) for j in range(3)] for i in range(3)]
+    if not is_zero(step):
+        B = [[B[i][j] + B_n * (normal[i] * normal[j]) for j in range(3)] for i in range(3)]
     moment, torsion = _spin_friction(normal, omega, N, site, strain, step, advance)
     rate: Vector = []
     if strain_count(site) >= 3:
-        rate = [select(touching, x, 0.0) for x in apply(rotation, v_t)]
+        rate = [0.0 if is_zero(x) else select(touching, x, 0.0) for x in v_t]
     if strain_count(site) == 4:
         new_strain = [*new_strain, torsion[1]]
         rate = [*rate, select(touching, dot(normal, omega), 0.0)]
     load = _load(kin, place, model, rotation, point, force, B, moment, torsion[0], normal)
     return Contact(load, N, -height, new_strain, rate)
+
+
+def _entries(matrix: Matrix) -> list[Any]:
+    return [entry for row in matrix for entry in row]
+
+
+def _upper(matrix: Matrix) -> list[Any]:
+    return [matrix[i][j] for i in range(3) for j in range(i, 3)]
+
+
+def _from_upper(entries: Sequence[Any]) -> Matrix:
+    a, b, c, d, e, f = entries
+    return [[a, b, c], [b, d, e], [c, e, f]]
 
 
 def _deepest(site: ContactSite, normal: Vector) -> Vector:
@@ -143,9 +198,15 @@ def _deepest(site: ContactSite, normal: Vector) -> Vector:
     return scale(-1.0 / length, stretched)
 
 
+def _tangential(vector: Vector, along: Any, n: Vector) -> Vector:
+    """A vector without its part along n, which is given; exactly zero there if n is a structural axis."""
+    return [0.0 if isinstance(n[i], float) and n[i] == 1.0 else vector[i] - along * n[i] for i in range(3)]
+
+
 def _friction(
     rotation: Matrix,
     normal: Vector,
+    n: Vector,
     v_t: Vector,
     N: Any,
     site: ContactSite,
@@ -153,38 +214,46 @@ def _friction(
     step: Any,
     advance: Any,
 ) -> tuple[Vector, Matrix, Vector]:
-    """Tangential force (link's axes), its implicit matrix, and the new strain (world's axes)."""
+    """Tangential force along the world's axes, its implicit matrix in the link's, and the new strain.
+
+    ``normal`` is the plane's normal in the link's axes, ``n`` in the world's.
+    """
     limit = site.friction * N
     c = site.tangential_damping
     if site.tangential_stiffness == 0.0:
         speed = sqrt(dot(v_t, v_t))
         factor = limit / maximum(speed, SLIP_SPEED)
         along = [[(1.0 if i == j else 0.0) - normal[i] * normal[j] for j in range(3)] for i in range(3)]
-        B: Any = step * factor if not is_zero(step) else 0.0
-        return scale(-factor, v_t), [[B * entry for entry in row] for row in along], []
+        if is_zero(step):
+            return scale(-factor, v_t), NO_MATRIX, []
+        return scale(-factor, v_t), [[(step * factor) * entry for entry in row] for row in along], []
     k = site.tangential_stiffness
     # The strain of the present positions, without what turned out of the plane.
-    s = add(apply_transposed(rotation, list(strain[:3])), scale(advance, v_t))
-    s = subtract(s, scale(dot(s, normal), normal))
+    s = add(list(strain[:3]), scale(advance, v_t))
+    s = _tangential(s, dot(s, n), n)
     trial = add(scale(k, s), scale(c + step * k, v_t))
     size = sqrt(dot(trial, trial))
     sliding = limit < size
     inverse_size = 1.0 / maximum(size, 1e-9)
     ratio = select(sliding, limit * inverse_size, 1.0)
-    t = scale(inverse_size, trial)
-    B_t = ratio * (step * (c + step * k)) if not is_zero(step) else 0.0
-    # Sticking: B_t (1 - n n^T); sliding, B_t (1 - n n^T - t t^T), the derivative of the projection on the cone.
-    across = select(sliding, 1.0, 0.0)
-    B = [
-        [B_t * ((1.0 if i == j else 0.0) - normal[i] * normal[j] - across * (t[i] * t[j])) for j in range(3)]
-        for i in range(3)
-    ]
     force = scale(-ratio, trial)
+    B = NO_MATRIX
+    if not is_zero(step):
+        # Sticking: B_t (1 - n n^T); sliding, B_t (1 - n n^T - t t^T), the derivative of the projection on the cone.
+        B_t = ratio * (step * (c + step * k))
+        across = select(sliding, B_t, 0.0)
+        t = apply_transposed(rotation, scale(inverse_size, trial))
+        B = [
+            [B_t * ((1.0 if i == j else 0.0) - normal[i] * normal[j]) - across * (t[i] * t[j]) for j in range(3)]
+            for i in range(3)
+        ]
     # Sliding drags the anchor: spring and damper together give just the limit.
-    dragged = scale(1.0 / k, subtract(scale(limit, t), scale(c, v_t)))
     touching = 0.0 < N
-    new = [select(touching, select(sliding, dragged[i], s[i]), 0.0) for i in range(3)]
-    return force, B, apply(rotation, new)
+    new: Vector = []
+    for i in range(3):
+        dragged = (-force[i] - c * v_t[i]) * (1.0 / k)
+        new.append(0.0 if is_zero(v_t[i]) else select(touching, select(sliding, dragged, s[i]), 0.0))
+    return force, B, new
 
 
 def _spin_friction(
@@ -220,6 +289,11 @@ def _load(
     normal: Vector,
 ) -> ContactLoad:
     """Force at a point, its implicit matrix B, and a moment about the normal, carried to the link's origin."""
+    if B is NO_MATRIX:
+        turning = cross(point, force)
+        if not is_zero(moment):
+            turning = add(turning, scale(moment, normal))
+        return ContactLoad(turning, force, NO_MATRIX, NO_MATRIX, NO_MATRIX)
     rx = skew(point)
     coupling = multiply(rx, B)
     inertia = multiply(coupling, transpose(rx))
@@ -250,7 +324,7 @@ def spring_forces(kin: Kinematics, model: Model) -> dict[int, list[tuple[Vector,
                 continue
             place = kin.tree.node_of_link[model.link_index(name)]
             rotation, origin = kin.world(place)
-            velocity = apply(rotation, add(kin.velocity(place), cross(kin.omega[place], list(position))))
+            velocity = add(kin.world_velocity(place), apply(rotation, cross(kin.omega[place], list(position))))
             ends.append((name, add(origin, apply(rotation, list(position))), velocity, list(position)))
         gap = subtract(ends[1][1], ends[0][1])
         rate = subtract(ends[1][2], ends[0][2])
@@ -312,6 +386,7 @@ class JointForces:
 
     def limits(self, model: Model, q: Sequence[Any], u: Sequence[Any], step: Any) -> None:
         """Add the springs and dampers that hold joints within their limits; they push back, never pull."""
+        found: list[tuple[int, Any, Any, Any]] = []
         for index, link in enumerate(model.links):
             joint: Joint = link.joint
             for axis, limit in enumerate(joint.limits):
@@ -321,7 +396,16 @@ class JointForces:
                 k, c = joint.limit_stiffness, joint.limit_damping
                 beyond = q[at_q] - clamp(q[at_q], limit[0], limit[1])
                 push = -k * (beyond + step * u[at_u]) - c * u[at_u]
-                above, below = 0.0 < beyond, beyond < 0.0
-                active = (above & (push < 0.0)) | (below & (0.0 < push))
-                self.tau[at_u] = self.tau[at_u] + select(active, push, 0.0)
-                self.implicit[at_u] = self.implicit[at_u] + select(active, step * (c + step * k), 0.0)
+                outside = (q[at_q] < limit[0]) | (limit[1] < q[at_q])
+                active = ((0.0 < beyond) & (push < 0.0)) | ((beyond < 0.0) & (0.0 < push))
+                found.append((at_u, outside, select(active, push, 0.0), select(active, step * (c + step * k), 0.0)))
+        if not found:
+            return
+        # Limits are rarely met, by any joint of any agent.
+        somewhere = found[0][1]
+        for _, outside, _, _ in found[1:]:
+            somewhere = somewhere | outside
+        values = guarded(somewhere, [value for _, _, push, extra in found for value in (push, extra)])
+        for place, (at_u, *_) in enumerate(found):
+            self.tau[at_u] = self.tau[at_u] + values[2 * place]
+            self.implicit[at_u] = self.implicit[at_u] + values[2 * place + 1]

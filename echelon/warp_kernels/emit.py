@@ -41,6 +41,10 @@ class Target:
             f"typedef int mask __attribute__((ext_vector_type({self.lanes})));\n"
         )
 
+    def any_lane(self, mask: str) -> str:
+        """Whether a mask holds for some agent of the block."""
+        return mask if self.lanes == 1 else f"__builtin_reduce_or({mask})"
+
     def function(self, name: str) -> str:
         """Spelling of fma, sqrt, floor or abs."""
         if self.cuda:
@@ -89,16 +93,13 @@ def statements(graph: Graph, outputs: Sequence[tuple[str, Expr]], target: Target
             also be an input.
         prefix: Start of the temporaries' names; differs between blocks in one scope.
     """
-    live = _live(graph, (value.index for _, value in outputs))
-    uses = [0] * len(graph.nodes)
-    for index in live:
-        op, operands = graph.nodes[index]
-        if op not in ("const", "input"):
-            for operand in operands:
-                uses[operand] += 1
-    for _, value in outputs:
-        uses[value.index] += 1
+    roots = [value.index for _, value in outputs]
+    live = _live(graph, roots)
+    uses = _use_counts(graph, live, roots)
     fused = _fused_products(graph, live, uses)
+    absorbed = set(fused.values())
+    groups = _guard_groups(graph, live, roots)
+    hidden = {index for group in groups.values() for index in group.inside}
 
     def name(index: int) -> str:
         op, operands = graph.nodes[index]
@@ -106,36 +107,96 @@ def statements(graph: Graph, outputs: Sequence[tuple[str, Expr]], target: Target
             return f"(lanes)({_literal(operands[0])})"
         return f"{prefix}{index}"
 
+    def statement(index: int) -> str:
+        kind = "mask" if graph.nodes[index][0] in MASK_OPS else "lanes"
+        return f"const {kind} {prefix}{index} = {_expression(graph, index, fused, name, target)};"
+
+    def is_statement(index: int) -> bool:
+        return graph.nodes[index][0] not in ("const", "guard") and index not in absorbed
+
     lines: list[str] = []
-    absorbed = set(fused.values())
+    opened: set[int] = set()
     for index in live:
         op, operands = graph.nodes[index]
-        if op == "const" or index in absorbed:
-            continue
-        kind = "mask" if op in MASK_OPS else "lanes"
-        lines.append(f"const {kind} {prefix}{index} = {_expression(graph, index, fused, name, target)};")
+        if op == "guard" and operands[0] not in opened:
+            opened.add(operands[0])
+            group = groups[operands[0]]
+            lines += [f"lanes {prefix}{guard} = (lanes)(0.0f);" for guard in group.guards]
+            lines.append(f"if ({target.any_lane(name(operands[0]))}) {{")
+            lines += [statement(inner) for inner in group.inside if is_statement(inner)]
+            for guard in group.guards:
+                value = name(graph.nodes[guard][1][1])
+                lines.append(f"{prefix}{guard} = ({name(operands[0])} ? {value} : (lanes)(0.0f));")
+            lines.append("}")
+        elif is_statement(index) and index not in hidden:
+            lines.append(statement(index))
     lines += [f"{place} = {name(value.index)};" for place, value in outputs]
     return "\n".join(lines) + "\n"
 
 
 def operation_count(graph: Graph, outputs: Iterable[Expr]) -> int:
-    """How many operations an evaluation takes, a fused multiply-add counting as one."""
-    values = list(outputs)
-    live = _live(graph, (value.index for value in values))
+    """How many operations an evaluation usually takes: a fused multiply-add is one, what is guarded is none."""
+    roots = [value.index for value in outputs]
+    live = _live(graph, roots)
+    fused = _fused_products(graph, live, _use_counts(graph, live, roots))
+    hidden = {index for group in _guard_groups(graph, live, roots).values() for index in group.inside}
+    counted = [index for index in live if graph.nodes[index][0] not in ("const", "input") and index not in hidden]
+    return len(counted) - sum(index not in hidden for index in fused)
+
+
+@dataclass(frozen=True)
+class _GuardGroup:
+    """Guards of one condition and the nodes that nothing else needs."""
+
+    guards: tuple[int, ...]
+    inside: tuple[int, ...]
+
+
+def _guard_groups(graph: Graph, live: Sequence[int], roots: Sequence[int]) -> dict[int, _GuardGroup]:
+    """For each guarding condition, what can be skipped where it holds for nobody."""
+    guards: dict[int, list[int]] = {}
+    for index in live:
+        op, operands = graph.nodes[index]
+        if op == "guard":
+            guards.setdefault(operands[0], []).append(index)
+    if not guards:
+        return {}
+    # What is needed whatever the conditions say, or by more than one of them, stays outside.
+    outside = set(_live(graph, roots, through_guards=False))
+    reached = {
+        condition: set(_live(graph, (graph.nodes[guard][1][1] for guard in members), through_guards=False)) - outside
+        for condition, members in guards.items()
+    }
+    shared = {index for index in live if sum(index in nodes for nodes in reached.values()) > 1}
+    outside |= set(_live(graph, shared, through_guards=False))
+    groups: dict[int, _GuardGroup] = {}
+    for condition, members in guards.items():
+        inside = tuple(sorted(reached[condition] - outside))
+        for index in inside:
+            op, operands = graph.nodes[index]
+            if op == "guard":
+                raise ValueError("a guarded value needs another guarded value: guard both by one condition")
+            late = [i for i in operands if op not in ("const", "input") and i not in inside and i > members[0]]
+            if late:
+                raise ValueError("guards of one condition must be made together")
+        groups[condition] = _GuardGroup(tuple(members), inside)
+    return groups
+
+
+def _use_counts(graph: Graph, live: Sequence[int], roots: Sequence[int]) -> list[int]:
     uses = [0] * len(graph.nodes)
     for index in live:
         op, operands = graph.nodes[index]
         if op not in ("const", "input"):
             for operand in operands:
                 uses[operand] += 1
-    for value in values:
-        uses[value.index] += 1
-    computed = sum(graph.nodes[index][0] not in ("const", "input") for index in live)
-    return computed - len(_fused_products(graph, live, uses))
+    for index in roots:
+        uses[index] += 1
+    return uses
 
 
-def _live(graph: Graph, roots: Iterable[int]) -> list[int]:
-    """Indices of all nodes that the roots need, ascending."""
+def _live(graph: Graph, roots: Iterable[int], through_guards: bool = True) -> list[int]:
+    """Indices of all nodes that the roots need, ascending; of a guard only its condition, if so asked."""
     seen: set[int] = set()
     stack = list(roots)
     while stack:
@@ -144,7 +205,9 @@ def _live(graph: Graph, roots: Iterable[int]) -> list[int]:
             continue
         seen.add(index)
         op, operands = graph.nodes[index]
-        if op not in ("const", "input"):
+        if op == "guard" and not through_guards:
+            stack.append(operands[0])
+        elif op not in ("const", "input"):
             stack.extend(operands)
     return sorted(seen)
 

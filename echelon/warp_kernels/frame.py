@@ -24,7 +24,7 @@ from typing import Any, Protocol
 import numpy as np
 import warp as wp
 
-from echelon.warp_kernels.character import NO_EVENT, Character
+from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.emit import Target, cpu_compiler_flags, host_lanes
 from echelon.warp_kernels.program import PLANE_SIZE, POSE_SIZE, Integrator, Program
 
@@ -40,11 +40,13 @@ class Terrain(Protocol):
     Attributes:
         data: A Warp struct instance that `look_up` reads.
         look_up: Warp function (surface, point in the world, data) -> plane (n, d) in the world, float64.
+        level: Whether the ground's normal is +z everywhere.
         rough: Whether a plane must be looked up every tick rather than every frame.
     """
 
     data: Any
     look_up: Any
+    level: bool
     rough: bool
 
 
@@ -128,7 +130,7 @@ class Engine:
         self.lanes = lanes
         self.device = device
         self.step = 1.0 / (frame_rate * substeps)
-        self.program = _program(character, self.step, tick * self.step, integrator, Target(lanes, cuda))
+        self.program = _program(character, self.step, tick * self.step, integrator, Target(lanes, cuda), terrain.level)
         self.layout = self.program.layout
         self.block_count = -(-agent_count // lanes)
         self._kernel = _frame_kernel(self.program, terrain.look_up, type_of(terrain.data), terrain.rough)
@@ -310,8 +312,8 @@ def type_of(data: Any) -> Any:
 
 
 @lru_cache(maxsize=32)
-def _program(character: Character, step: float, tick: float, integrator: Integrator, target: Target) -> Program:
-    return Program(character, step, tick, integrator, target)
+def _program(character: Character, step: float, tick: float, integrator: Integrator, target: Target, level: bool) -> Program:
+    return Program(character, step, tick, integrator, target, level)
 
 
 @lru_cache(maxsize=64)
@@ -321,13 +323,13 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
     layout = program.layout
     body = program.character.body
     control, substeps, observe = program.control, program.substeps, program.observe
-    state_size = layout.size
+    begin, keep_finite = program.begin, program.keep_finite
     site_count = len(body.contacts)
     link_count = len(body.links)
     event_count = len(program.character.events)
     free_root = body.links[0].joint.kind == "free"
     phase_at, fallen_at, loaded_at = (layout.memory[name] for name in ("phase", "fallen", "loaded"))
-    substep_at, frozen_at = layout.substep, layout.frozen
+    frozen_at = layout.frozen
     root_q = layout.q
     velocity_at = POSE_SIZE * link_count
 
@@ -397,12 +399,7 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
                 for axis in range(3):
                     origins[agent, axis] = origins[agent, axis] + wp.float64(state[block, root_q + axis, lane])
                     state[block, root_q + axis, lane] = wp.float32(0.0)
-            for event in range(event_count):
-                state[block, event_places[event], lane] = wp.float32(NO_EVENT)
-            state[block, substep_at, lane] = wp.float32(0.0)
-        for variable in range(state_size):
-            for lane in range(lanes):
-                backup[block, variable, lane] = state[block, variable, lane]
+        begin(state, backup, block)
         for lane in range(lanes):
             look_up_planes(block, lane, terrain, surfaces, state, origins, planes)
 
@@ -415,15 +412,7 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
             substeps(state, parameters, command, planes, block, tick)
 
         # Whatever is not finite, or was frozen before, stays where it was at the start of the frame.
-        for lane in range(lanes):
-            total = float(0.0)
-            for variable in range(state_size):
-                total += state[block, variable, lane] * 0.0
-            if total != 0.0 or backup[block, frozen_at, lane] > 0.5:
-                for variable in range(state_size):
-                    state[block, variable, lane] = backup[block, variable, lane]
-                state[block, frozen_at, lane] = wp.float32(1.0)
-
+        keep_finite(state, backup, block)
         observe(state, seen, block)
         for lane in range(lanes):
             agent = block * lanes + lane

@@ -157,6 +157,9 @@ class ContactSite:
         tangential_stiffness, tangential_damping: Of the sticking anchor [N/m], [N s/m].
         friction: Coulomb coefficient.
         patch_radius: Radius of the patch whose friction resists spinning about the normal; 0 for none [m].
+        law: "stiff" takes its force implicitly (see `contact`); "soft" does not, which is cheaper and right where
+            the mass behind the site is large enough for the step.
+        use: "usual", or "rare" for a site that hardly ever touches: its arithmetic is skipped while nobody's does.
     """
 
     name: str
@@ -170,6 +173,8 @@ class ContactSite:
     tangential_damping: float = 500.0
     friction: float = 0.9
     patch_radius: float = 0.0
+    law: Literal["stiff", "soft"] = "stiff"
+    use: Literal["usual", "rare"] = "usual"
 
 
 @dataclass(frozen=True)
@@ -335,6 +340,8 @@ def _checked_parents(model: Model) -> tuple[int, ...]:
             raise ModelError(f"{where}, contact {contact.name!r}: link {contact.link!r} is missing")
         if contact.surface not in get_args(Surface):
             raise ModelError(f"{where}, contact {contact.name!r}: surface {contact.surface!r} is not ground or wall")
+        if contact.law not in ("stiff", "soft") or contact.use not in ("usual", "rare"):
+            raise ModelError(f"{where}, contact {contact.name!r}: law is stiff or soft, use is usual or rare")
         _check_finite(f"{where}, contact {contact.name!r}", contact)
     if not np.isfinite(model.gravity):
         raise ModelError(f"{where}: gravity is {model.gravity}, not a finite number")

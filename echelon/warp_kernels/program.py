@@ -5,6 +5,8 @@
 
 * ``control(state, parameters, command, block)``: one control tick;
 * ``substeps(state, parameters, command, planes, block, count)``: ``count`` substeps, the state held in registers;
+* ``begin(state, backup, block)``: at the start of a frame, clear latches and keep a copy;
+* ``keep_finite(state, backup, block)``: at its end, put agents whose state is not finite back to the copy;
 * ``observe(state, seen, block)``: link poses and velocities at the end of a frame.
 
 All arrays are ``[block, variable, lane]`` of float32.
@@ -25,7 +27,7 @@ from typing import Any, Literal
 import warp as wp
 
 from echelon.warp_kernels import articulated
-from echelon.warp_kernels.character import Character, StateLayout, View
+from echelon.warp_kernels.character import NO_EVENT, Character, StateLayout, View
 from echelon.warp_kernels.contact import Contact, JointForces, contact, spring_forces, strain_count
 from echelon.warp_kernels.emit import Target, operation_count, statements
 from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions
@@ -109,16 +111,20 @@ class Program:
         character: What was compiled.
         layout: Where each state variable stands.
         target: Lanes and kind of processor.
+        level_ground: Whether the ground's normal is +z everywhere, which saves arithmetic.
         substep_operations: Arithmetic operations of one substep, for reports.
         key: A name that changes exactly when the code does.
     """
 
-    def __init__(self, character: Character, step: float, tick: float, integrator: Integrator, target: Target) -> None:
+    def __init__(
+        self, character: Character, step: float, tick: float, integrator: Integrator, target: Target, level_ground: bool = False
+    ) -> None:
         self.character = character
         self.step = step
         self.tick = tick
         self.integrator = integrator
         self.target = target
+        self.level_ground = level_ground
         self.layout = StateLayout.of(character.body, character.memory)
         self.parameter_names = tuple(character.parameters)
         self.seen_size = POSE_SIZE * len(character.body.links) + SEEN_EXTRA
@@ -127,12 +133,16 @@ class Program:
             "control": self._control_source(),
             "substeps": self._substeps_source(),
             "observe": self._observe_source(),
+            "begin": self._begin_source(),
+            "keep_finite": self._keep_finite_source(),
         }
         self.sources = sources
         self.key = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:12]
         self.control = self._native(sources["control"], _control_stub)
         self.substeps = self._native(sources["substeps"], _substeps_stub)
         self.observe = self._native(sources["observe"], _observe_stub)
+        self.begin = self._native(sources["begin"], _backup_stub)
+        self.keep_finite = self._native(sources["keep_finite"], _backup_stub)
 
     @staticmethod
     def _native(source: str, stub: Any) -> Any:
@@ -159,8 +169,16 @@ class Program:
         return {name: graph.input(f"c[{i}]") for i, name in enumerate(self.character.commands)}
 
     def _planes(self, graph: Graph) -> list[list[Any]]:
-        count = len(self.character.body.contacts)
-        return [[graph.input(f"g[{PLANE_SIZE * site + i}]") for i in range(PLANE_SIZE)] for site in range(count)]
+        """Plane of each site; what is known of it beforehand is a constant, and folds."""
+        planes: list[list[Any]] = []
+        for place, site in enumerate(self.character.body.contacts):
+            plane: list[Any] = [graph.input(f"g[{PLANE_SIZE * place + i}]") for i in range(PLANE_SIZE)]
+            if site.surface == "wall":
+                plane[2] = 0.0
+            elif self.level_ground:
+                plane[:3] = [0.0, 0.0, 1.0]
+            planes.append(plane)
+        return planes
 
     # ---- sources ---------------------------------------------------------------------------------------------------
     def _pointer(self, name: str, array: str, size: int) -> str:
@@ -300,12 +318,34 @@ class Program:
         for pose in link_poses(kin):
             values += pose
         rotation, _ = kin.world(body.tree.node_of_link[0])
-        values += apply(rotation, kin.velocity(body.tree.node_of_link[0]))
+        values += kin.world_velocity(body.tree.node_of_link[0])
         values += apply(rotation, kin.omega[body.tree.node_of_link[0]])
         outputs = [(f"O[{i}]", graph.lift(value)) for i, value in enumerate(values)]
         code = self.target.preamble + self._pointer("s", "state", self.layout.size)
         code += self._pointer("O", "seen", self.seen_size)
         return code + statements(graph, outputs, self.target)
+
+
+    def _begin_source(self) -> str:
+        size = self.layout.size
+        code = self.target.preamble + self._pointer("s", "state", size) + self._pointer("b", "backup", size)
+        for name in self.character.events:
+            code += f"s[{self.layout.memory[name]}] = (lanes)({NO_EVENT}f);\n"
+        code += f"s[{self.layout.substep}] = (lanes)(0.0f);\n"
+        return code + f"for (int i = 0; i < {size}; ++i) b[i] = s[i];\n"
+
+    def _keep_finite_source(self) -> str:
+        size, frozen = self.layout.size, self.layout.frozen
+        code = self.target.preamble + self._pointer("s", "state", size) + self._pointer("b", "backup", size)
+        # Zero times a finite number is zero; times an infinity or a NaN it is not.
+        code += "lanes total = (lanes)(0.0f);\n"
+        code += f"for (int i = 0; i < {size}; ++i) total += s[i] * (lanes)(0.0f);\n"
+        code += f"const mask lost = ((total == (lanes)(0.0f)) == 0) | (b[{frozen}] > (lanes)(0.5f));\n"
+        code += f"if ({self.target.any_lane('lost')}) {{\n"
+        code += f"for (int i = 0; i < {size}; ++i) {{ const lanes now = s[i], then = b[i]; "
+        code += "s[i] = (lost ? then : now); }\n"
+        code += f"const lanes flag = s[{frozen}];\ns[{frozen}] = (lost ? (lanes)(1.0f) : flag);\n}}\n"
+        return code
 
 
 def link_poses(kin: articulated.Kinematics) -> list[Vector]:
@@ -339,6 +379,9 @@ def _substeps_stub(
     block: int,
     count: int,
 ): ...
+
+
+def _backup_stub(state: wp.array3d[wp.float32], backup: wp.array3d[wp.float32], block: int): ...
 
 
 def _observe_stub(state: wp.array3d[wp.float32], seen: wp.array3d[wp.float32], block: int): ...
