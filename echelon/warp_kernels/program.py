@@ -47,8 +47,15 @@ SEEN_EXTRA = 6  # after the poses: velocity of the first link's origin and its a
 
 
 @dataclass(frozen=True)
-class _Variables:
-    """The state of one agent as scalars."""
+class AgentState:
+    """The state of an agent as scalars of any kind.
+
+    Attributes:
+        q, u: Generalised positions and speeds.
+        strains: Of each contact site (see `contact`).
+        memory: The controller's variables by name.
+        substep: Substep of the frame, from 0.
+    """
 
     q: list[Any]
     u: list[Any]
@@ -69,7 +76,7 @@ class SubstepResult:
 
 def evaluate_substep(
     character: Character,
-    state: _Variables,
+    state: AgentState,
     parameters: dict[str, Any],
     command: dict[str, Any],
     planes: Sequence[Sequence[Any]],
@@ -149,9 +156,9 @@ class Program:
         return wp.func_native(source)(stub)
 
     # ---- inputs ----------------------------------------------------------------------------------------------------
-    def _variables(self, graph: Graph, array: str = "s") -> _Variables:
+    def _variables(self, graph: Graph, array: str = "s") -> AgentState:
         layout, body = self.layout, self.character.body
-        return _Variables(
+        return AgentState(
             q=[graph.input(f"{array}[{layout.q + i}]") for i in range(body.q_count)],
             u=[graph.input(f"{array}[{layout.u + i}]") for i in range(body.u_count)],
             strains=[
@@ -218,7 +225,7 @@ class Program:
         code = self.target.preamble + self._pointer("s", "state", self.layout.size) + self._load_inputs(False)
         return code + statements(graph, outputs, self.target)
 
-    def _changed_memory(self, graph: Graph, before: _Variables, after: dict[str, Any]) -> list[tuple[str, Expr]]:
+    def _changed_memory(self, graph: Graph, before: AgentState, after: dict[str, Any]) -> list[tuple[str, Expr]]:
         unknown = sorted(set(after) - set(before.memory))
         if unknown:
             raise ValueError(f"character {self.character.name!r}: memory {unknown[0]!r} was never declared")
