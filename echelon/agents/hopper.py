@@ -65,6 +65,7 @@ HOP_HEIGHT = 0.14  # rise of the body from liftoff to apex [m]
 SPEED_GAIN = 0.085  # kx [s]
 TRIM_GAIN = 0.012  # of the slow correction that takes out what is left of a speed error [s] a hop
 TRIM_LIMIT = 0.04  # [m]
+CHANGE_LIMIT = 1.1  # of a wanted velocity that is taken up at one liftoff; the rest waits for the next [m/s]
 REACH_LIMIT = 0.42  # farthest the foot is put from beneath the hip [m]
 SWING_STIFFNESS, SWING_DAMPING = 180.0, 11.0  # hip in flight [N m/rad], [N m s/rad]
 TWIST_STIFFNESS, TWIST_DAMPING = 6.0, 0.25  # leg about its own axis in flight, where it weighs nothing
@@ -226,6 +227,10 @@ class Hopper:
         "wanted_y": 0.0,
         "trim_x": 0.0,
         "trim_y": 0.0,
+        # of the hop since the last liftoff: sums of speed over its ticks, and how many
+        "travel_x": 0.0,
+        "travel_y": 0.0,
+        "hop": 0.0,
         "heading": 0.0,
         # servo targets
         "hip_x": 0.0,
@@ -283,14 +288,24 @@ class Hopper:
     def _take_up(self, view: View, leaving: Any) -> None:
         """At liftoff, and only then: a new desired velocity, a new heading, and the trim of the last hop's error."""
         memory, command = view.memory, view.command
+        hop = memory["hop"] + 1.0
+        memory["hop"] = select(leaving, 0.0, hop)
+        changes = []
         for axis, speed in (("x", view.u[0]), ("y", view.u[1])):
-            error = memory[f"wanted_{axis}"] - speed
+            travel = memory[f"travel_{axis}"] + speed
+            memory[f"travel_{axis}"] = select(leaving, 0.0, travel)
+            # The mean speed of the hop, since the body slows in every stance and liftoff alone would flatter it.
+            error = memory[f"wanted_{axis}"] - travel / hop
             # Only small errors are the trim's business: a push or a new command is the gain's.
             correction = select(error * error < 0.16, TRIM_GAIN * error, 0.0)
             trim = clamp(memory[f"trim_{axis}"] + correction, -TRIM_LIMIT, TRIM_LIMIT)
             memory[f"trim_{axis}"] = select(leaving, trim, memory[f"trim_{axis}"])
-            wanted = command[f"velocity_{axis}"]
-            memory[f"wanted_{axis}"] = select(leaving, wanted, memory[f"wanted_{axis}"])
+            changes.append(command[f"velocity_{axis}"] - memory[f"wanted_{axis}"])
+        size = sqrt(changes[0] * changes[0] + changes[1] * changes[1])
+        share = minimum(CHANGE_LIMIT / maximum(size, 1e-6), 1.0)
+        for axis, change in zip(("x", "y"), changes, strict=True):
+            wanted = memory[f"wanted_{axis}"]
+            memory[f"wanted_{axis}"] = select(leaving, wanted + share * change, wanted)
         x, y = command["velocity_x"], command["velocity_y"]
         turn = atan2(y, x) - memory["heading"]
         turn = select(math.pi < turn, turn - 2.0 * math.pi, turn)

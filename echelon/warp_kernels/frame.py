@@ -58,21 +58,28 @@ class ChunkArrays:
         poses: Link poses relative to each agent's origin [m], shape [frames, agents, links, 7]
         origins: Floating origins in the world [m],              shape [frames, agents, 3], float64
         velocities: Of the first link, world axes [m/s],          shape [frames, agents, 3]
+        desired: Commands that the frame was advanced with,       shape [frames, agents, commands]
         phases: Controller phase,                                 shape [frames, agents], int8
-        flags: Bit 0 a foot is loaded, 1 fallen, 2 frozen,        shape [frames, agents], uint8
+        contacts: 1 where a foot is loaded,                       shape [frames, agents], uint8
+        fallen: 1 where the agent has fallen,                     shape [frames, agents], uint8
+        frozen: 1 where its state stopped being finite,           shape [frames, agents], uint8
         events: Substep of each of the character's events or -1,  shape [frames, agents, events], int16
     """
 
     poses: wp.array
     origins: wp.array
     velocities: wp.array
+    desired: wp.array
     phases: wp.array
-    flags: wp.array
+    contacts: wp.array
+    fallen: wp.array
+    frozen: wp.array
     events: wp.array
 
     @classmethod
-    def allocate(cls, frames: int, agents: int, links: int, events: int, device: wp.DeviceLike = None) -> "ChunkArrays":
-        """Arrays for a chunk of `frames` frames."""
+    def allocate(cls, frames: int, agents: int, character: Character, device: wp.DeviceLike = None) -> "ChunkArrays":
+        """Arrays for a chunk of `frames` frames of a character."""
+        links, commands, events = len(character.body.links), len(character.commands), len(character.events)
 
         def zeros(shape: tuple[int, ...], dtype: Any) -> wp.array:
             return wp.zeros(shape, dtype=dtype, device=device)
@@ -81,8 +88,11 @@ class ChunkArrays:
             poses=zeros((frames, agents, links, POSE_SIZE), wp.float32),
             origins=zeros((frames, agents, 3), wp.float64),
             velocities=zeros((frames, agents, 3), wp.float32),
+            desired=zeros((frames, agents, max(commands, 1)), wp.float32),
             phases=zeros((frames, agents), wp.int8),
-            flags=zeros((frames, agents), wp.uint8),
+            contacts=zeros((frames, agents), wp.uint8),
+            fallen=zeros((frames, agents), wp.uint8),
+            frozen=zeros((frames, agents), wp.uint8),
             events=zeros((frames, agents, max(events, 1)), wp.int16),
         )
 
@@ -141,9 +151,11 @@ class Engine:
 
         self.state = zeros(self.layout.size)
         self.parameters = zeros(len(character.parameters))
-        self.command = zeros(len(character.commands))
+        self.command = wp.zeros((agent_count, max(len(character.commands), 1)), dtype=wp.float32, device=device)
+        self._command_lanes = zeros(len(character.commands))
         self.positions = wp.zeros(agent_count, dtype=wp.vec3, device=device)
         self.velocities = wp.zeros(agent_count, dtype=wp.vec3, device=device)
+        self.fallen = wp.zeros(agent_count, dtype=wp.int32, device=device)
         self.origins = wp.zeros((self.block_count * lanes, 3), dtype=wp.float64, device=device)
         self._backup = zeros(self.layout.size)
         self._planes = zeros(PLANE_SIZE * len(body.contacts))
@@ -205,7 +217,9 @@ class Engine:
 
     def set_command(self, name: str, values: np.ndarray) -> None:
         """One command, shape [agents]."""
-        self._assign(self.command, self.character.commands.index(name), values, 1)
+        host = self.command.numpy()
+        host[:, self.character.commands.index(name)] = values
+        self.command.assign(host)
 
     def set_origins(self, origins: np.ndarray) -> None:
         """Floating origins in the world [m], float64, shape [agents, 3]."""
@@ -269,9 +283,9 @@ class Engine:
                 dim=count,
                 inputs=[first, self.agent_count, self.substeps // self.tick, self.tick, 0, self.terrain.data]
                 + [self._surfaces, self._event_places, self.parameters, self.command],
-                outputs=[self.state, self.origins, self._backup, self._planes, self._seen, self.positions]
-                + [self.velocities, chunk.poses, chunk.origins, chunk.velocities, chunk.phases, chunk.flags]
-                + [chunk.events],
+                outputs=[self.state, self.origins, self._command_lanes, self._backup, self._planes, self._seen]
+                + [self.positions, self.velocities, self.fallen, chunk.poses, chunk.origins, chunk.velocities]
+                + [chunk.desired, chunk.phases, chunk.contacts, chunk.fallen, chunk.frozen, chunk.events],
                 device=self.device,
                 record_cmd=True,
                 block_dim=64,
@@ -327,6 +341,7 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
     site_count = len(body.contacts)
     link_count = len(body.links)
     event_count = len(program.character.events)
+    command_count = len(program.character.commands)
     free_root = body.links[0].joint.kind == "free"
     phase_at, fallen_at, loaded_at = (layout.memory[name] for name in ("phase", "fallen", "loaded"))
     frozen_at = layout.frozen
@@ -374,22 +389,27 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
         event_places: wp.array[int],
         # who
         parameters: wp.array3d[wp.float32],
-        command: wp.array3d[wp.float32],
+        command: wp.array2d[wp.float32],
         # state
         state: wp.array3d[wp.float32],
         origins: wp.array2d[wp.float64],
+        command_lanes: wp.array3d[wp.float32],
         backup: wp.array3d[wp.float32],
         planes: wp.array3d[wp.float32],
         seen: wp.array3d[wp.float32],
         # out: what the group sees
         positions_out: wp.array[wp.vec3],
         velocities_out: wp.array[wp.vec3],
+        fallen_out: wp.array[wp.int32],
         # out: the recording
         poses_out: wp.array4d[wp.float32],
         origins_out: wp.array3d[wp.float64],
         chunk_velocities_out: wp.array3d[wp.float32],
+        chunk_desired_out: wp.array3d[wp.float32],
         phases_out: wp.array2d[wp.int8],
-        flags_out: wp.array2d[wp.uint8],
+        contacts_out: wp.array2d[wp.uint8],
+        chunk_fallen_out: wp.array2d[wp.uint8],
+        frozen_out: wp.array2d[wp.uint8],
         events_out: wp.array3d[wp.int16],
     ):
         block = first_block + wp.tid()
@@ -399,6 +419,8 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
                 for axis in range(3):
                     origins[agent, axis] = origins[agent, axis] + wp.float64(state[block, root_q + axis, lane])
                     state[block, root_q + axis, lane] = wp.float32(0.0)
+            for part in range(command_count):
+                command_lanes[block, part, lane] = command[wp.min(agent, agent_count - 1), part]
         begin(state, backup, block)
         for lane in range(lanes):
             look_up_planes(block, lane, terrain, surfaces, state, origins, planes)
@@ -408,8 +430,8 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
                 if count > 0:
                     for lane in range(lanes):
                         look_up_planes(block, lane, terrain, surfaces, state, origins, planes)
-            control(state, parameters, command, block)
-            substeps(state, parameters, command, planes, block, tick)
+            control(state, parameters, command_lanes, block)
+            substeps(state, parameters, command_lanes, planes, block, tick)
 
         # Whatever is not finite, or was frozen before, stays where it was at the start of the frame.
         keep_finite(state, backup, block)
@@ -424,14 +446,14 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
                     origins_out[slot, agent, axis] = origins[agent, axis]
                     chunk_velocities_out[slot, agent, axis] = seen[block, velocity_at + axis, lane]
                 phases_out[slot, agent] = wp.int8(state[block, phase_at, lane])
-                flags = wp.int32(0)
-                if state[block, loaded_at, lane] > 0.5:
-                    flags += 1
-                if state[block, fallen_at, lane] > 0.5:
-                    flags += 2
-                if state[block, frozen_at, lane] > 0.5:
-                    flags += 4
-                flags_out[slot, agent] = wp.uint8(flags)
+                for part in range(command_count):
+                    chunk_desired_out[slot, agent, part] = command_lanes[block, part, lane]
+                contacts_out[slot, agent] = wp.uint8(wp.where(state[block, loaded_at, lane] > 0.5, 1, 0))
+                lost = wp.where(state[block, frozen_at, lane] > 0.5, 1, 0)
+                down = wp.where(state[block, fallen_at, lane] > 0.5, 1, 0)
+                chunk_fallen_out[slot, agent] = wp.uint8(down)
+                frozen_out[slot, agent] = wp.uint8(lost)
+                fallen_out[agent] = wp.max(down, lost)
                 for event in range(event_count):
                     events_out[slot, agent, event] = wp.int16(state[block, event_places[event], lane])
                 positions_out[agent] = wp.vec3(
