@@ -28,7 +28,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from echelon.warp_kernels.character import NO_EVENT, View
+import numpy as np
+
+from echelon.warp_kernels.character import NO_EVENT, Population, View
 from echelon.warp_kernels.contact import JointForces
 from echelon.warp_kernels.model import ContactSite, Joint, Link, Model, Visual
 from echelon.warp_kernels.reference import Body
@@ -81,6 +83,7 @@ FALLEN_COSINE = 0.5  # of the tilt at which a robot counts as fallen: 60 degrees
 USUAL_STANCE = 0.17  # [s], until the first stance has been timed
 SHORTEST_STANCE, LONGEST_STANCE = 0.10, 0.30  # a measured stance is held between these [s]
 SWING_TIME = 0.16  # for which the leg stays short after liftoff [s]
+START_HEIGHT = 0.08  # of the foot above the ground, on average [m]
 TURN_SPEED = 0.4  # below this desired speed a robot keeps facing where it faces [m/s]
 TURN_LIMIT = 0.5  # the desired heading turns by no more than this a hop [rad]
 
@@ -164,7 +167,7 @@ def hopper_model() -> Model:
                 tangential_damping=150.0,
                 friction=1.0,
                 patch_radius=0.035,
-                law="soft",
+                integration="explicit",
             ),
             ContactSite(
                 BELLY,
@@ -177,7 +180,7 @@ def hopper_model() -> Model:
                 tangential_damping=400.0,
                 friction=0.7,
                 patch_radius=0.06,
-                law="soft",
+                integration="explicit",
                 use="rare",
             ),
             ContactSite(
@@ -190,7 +193,7 @@ def hopper_model() -> Model:
                 damping=300.0,
                 tangential_stiffness=0.0,
                 friction=0.2,
-                law="soft",
+                integration="explicit",
                 use="rare",
             ),
         ),
@@ -241,6 +244,34 @@ class Hopper:
 
     def __init__(self) -> None:
         self.body = Body.from_dict(hopper_model().to_dict())
+
+    def population(self, count: int, seed: int, variation: float, in_phase: bool) -> Population:
+        """Robots in the air above their places, facing anywhere, leg and hop a little different from one to the next.
+
+        Args:
+            count: How many.
+            seed: Of what differs.
+            variation: Relative standard deviation of leg stiffness and hop height.
+            in_phase: All start at the same height, and so at the same phase of their hop.
+        """
+        # Five numbers an agent, from its own counter, so that agent i is the same in any crowd.
+        bits = np.random.Philox(key=seed).random_raw(count * 8).reshape(count, 8)
+        uniform = (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
+        spread = np.sqrt(-2.0 * np.log(1.0 - uniform[:, 0])) * variation
+        angle = 2.0 * math.pi * uniform[:, 1]
+        yaw = 2.0 * math.pi * uniform[:, 2] - math.pi
+        q = np.tile(self.body.q_reference, (count, 1))
+        q[:, 2] += START_HEIGHT if in_phase else START_HEIGHT * 2.0 * uniform[:, 3]
+        q[:, 5], q[:, 6] = np.sin(0.5 * yaw), np.cos(0.5 * yaw)
+        return Population(
+            q=q,
+            u=np.zeros((count, self.body.u_count)),
+            parameters={
+                "leg_stiffness": LEG_STIFFNESS * (1.0 + np.clip(spread * np.cos(angle), -0.3, 0.3)),
+                "hop_height": HOP_HEIGHT * (1.0 + np.clip(spread * np.sin(angle), -0.3, 0.3)),
+            },
+            memory={"heading": yaw},
+        )
 
     # ---- every control tick ------------------------------------------------------------------------------------------
     def control(self, view: View) -> None:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from echelon.warp_kernels.character import View
+import numpy as np
+
+from echelon.warp_kernels.character import Population, View
 from echelon.warp_kernels.contact import JointForces
 from echelon.warp_kernels.model import AXIS_COUNT
 from echelon.warp_kernels.reference import Body
@@ -41,6 +43,12 @@ class ServoedBody:
             for index, link in enumerate(body.links)
             for axis in range(AXIS_COUNT[link.joint.kind])
         }
+
+    def population(self, count: int, seed: int, variation: float, in_phase: bool) -> Population:
+        """Bodies in their reference pose; nothing differs."""
+        return Population(
+            np.tile(self.body.q_reference, (count, 1)), np.zeros((count, self.body.u_count)), parameters={}, memory={}
+        )
 
     def control(self, view: View) -> None:
         """Nothing to decide."""

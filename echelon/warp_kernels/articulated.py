@@ -34,9 +34,13 @@ from echelon.warp_kernels.spatial import (
     Vector,
     add,
     apply,
+    apply_onto,
     apply_transposed,
+    apply_transposed_onto,
     cross,
+    cross_onto,
     dot,
+    dot_onto,
     identity,
     is_zero,
     multiply,
@@ -45,6 +49,7 @@ from echelon.warp_kernels.spatial import (
     scale,
     skew,
     subtract,
+    transpose,
 )
 from echelon.warp_kernels.trace import sincos
 
@@ -163,7 +168,7 @@ class Kinematics:
                 turn, origin = self.world(node.parent)
                 self._world[place] = (
                     multiply(turn, self.rotation[place]),
-                    add(origin, apply(turn, self.offset[place])),
+                    apply_onto(origin, turn, self.offset[place]),
                 )
         return self._world[place]
 
@@ -183,7 +188,7 @@ class Kinematics:
                 if node.kind == "prismatic":
                     relative = add(relative, scale(self.u[node.u], list(node.axis)))
                 if not all(is_zero(x) for x in relative):
-                    velocity = add(velocity, apply(turn, relative))
+                    velocity = apply_onto(velocity, turn, relative)
             if node.parent < 0 and node.kind == "prismatic":
                 velocity = scale(self.u[node.u], list(node.axis))
             self._velocity[place] = velocity
@@ -213,10 +218,10 @@ def kinematics(tree: Tree, q: Sequence[Any], u: Sequence[Any]) -> Kinematics:
             rotation = identity()
             offset = add(offset, scale(q[node.q], list(node.axis)))
             rate = [0.0, 0.0, 0.0]
-        inherited = [0.0, 0.0, 0.0] if node.parent < 0 else apply_transposed(rotation, kin.omega[node.parent])
+        omega = rate if node.parent < 0 else apply_transposed_onto(rate, rotation, kin.omega[node.parent])
         kin.rotation.append(rotation)
         kin.offset.append(offset)
-        kin.omega.append(add(inherited, rate))
+        kin.omega.append(omega)
         kin.rate.append(rate)
     return kin
 
@@ -376,7 +381,8 @@ def forward_dynamics(
             eliminations[place].append(elimination)
         if node.parent >= 0:
             c, b = products[place]
-            shifted = _to_parent(articulated, kin.rotation[place], kin.offset[place], c, b)
+            turn = next((i for i in range(3) if abs(node.axis[i]) == 1.0), None) if node.kind == "revolute" else None
+            shifted = _to_parent(articulated, kin.rotation[place], turn, kin.offset[place], c, b)
             total[node.parent] = _accumulate(total[node.parent], shifted)
 
     # Pass 3: from the root outwards, accelerations.
@@ -392,11 +398,11 @@ def forward_dynamics(
                 alpha_outer, a_outer = [0.0, 0.0, 0.0], [0.0, 0.0, gravity]
             else:
                 alpha_outer = angular_of[node.parent]
-                a_outer = add(add(linear_of[node.parent], cross(alpha_outer, kin.offset[place])), b)
-            alpha = add(apply_transposed(kin.rotation[place], alpha_outer), c)
+                a_outer = add(cross_onto(linear_of[node.parent], alpha_outer, kin.offset[place]), b)
+            alpha = apply_transposed_onto(c, kin.rotation[place], alpha_outer)
             a = apply_transposed(kin.rotation[place], a_outer)
         for step in reversed(eliminations[place]):
-            acceleration = step.gain - (dot(step.U_over_D[0], alpha) + dot(step.U_over_D[1], a))
+            acceleration = dot_onto(dot_onto(step.gain, step.U_over_D[0], negate(alpha)), step.U_over_D[1], negate(a))
             qdd[step.speed] = acceleration
             if step.angular:
                 alpha = add(alpha, scale(acceleration, step.axis))
@@ -475,30 +481,90 @@ def _symmetric(entry: Any, gone: int | None) -> Matrix:
     return result
 
 
-def _to_parent(body: ArticulatedInertia, R: Matrix, r: Vector, c: Vector, b: Vector) -> ArticulatedInertia:
-    """An articulated inertia and its bias in the parent's frame; c in the node's axes and b in the parent's are the
-    accelerations that velocities add on the way (see `velocity_product`)."""
-    moment = add(body.moment, apply(body.inertia, c))
-    force = add(body.force, apply_transposed(body.coupling, c))
-    inertia, mass = _rotate_symmetric(body.inertia, R), _rotate_symmetric(body.mass, R)
-    coupling = multiply(multiply(R, body.coupling), [[R[j][i] for j in range(3)] for i in range(3)])
-    moment = add(apply(R, moment), apply(coupling, b))
-    force = add(apply(R, force), apply(mass, b))
+def _to_parent(
+    body: ArticulatedInertia, R: Matrix, direction: int | None, r: Vector, c: Vector, b: Vector
+) -> ArticulatedInertia:
+    """An articulated inertia and its bias in the parent's frame.
+
+    R turns about coordinate axis ``direction`` (None: about any other); c in the node's axes and b in the parent's are
+    the accelerations that velocities add on the way (see `velocity_product`).
+    """
+    moment = apply_onto(body.moment, body.inertia, c)
+    force = apply_transposed_onto(body.force, body.coupling, c)
+    if direction is None:
+        inertia, mass = _rotate_symmetric(body.inertia, R), _rotate_symmetric(body.mass, R)
+        coupling = multiply(multiply(R, body.coupling), transpose(R))
+    else:
+        twice = _double_angle(R, direction)
+        inertia = _turn_symmetric(body.inertia, R, direction, twice)
+        mass = _turn_symmetric(body.mass, R, direction, twice)
+        coupling = _turn(body.coupling, R, direction, twice)
+    moment = apply_onto(apply(R, moment), coupling, b)
+    force = apply_onto(apply(R, force), mass, b)
     if all(is_zero(x) for x in r):
         return ArticulatedInertia(inertia, coupling, mass, moment, force)
     # With v_child = v_parent - [r] w:  H' = H + [r] M,  I' = I - H [r] + [r] H'^T.
-    rx = skew(r)
-    shifted_coupling = _sum(coupling, multiply(rx, mass))
-    first = multiply(coupling, rx)
-    second = multiply(rx, [[shifted_coupling[j][i] for j in range(3)] for i in range(3)])
-    shifted = _symmetric(lambda i, j: inertia[i][j] - first[i][j] + second[i][j], None)
-    return ArticulatedInertia(shifted, shifted_coupling, mass, add(moment, cross(r, force)), force)
+    rx, back = skew(r), skew(negate(r))
+    shifted_coupling = [
+        [dot_onto(coupling[i][j], rx[i], [mass[k][j] for k in range(3)]) for j in range(3)] for i in range(3)
+    ]
+    shifted = _symmetric(
+        lambda i, j: dot_onto(
+            dot_onto(inertia[i][j], coupling[i], [back[k][j] for k in range(3)]), rx[i], shifted_coupling[j]
+        ),
+        None,
+    )
+    return ArticulatedInertia(shifted, shifted_coupling, mass, cross_onto(moment, r, force), force)
 
 
 def _rotate_symmetric(m: Matrix, R: Matrix) -> Matrix:
     """R m R^T of a symmetric m."""
     half = multiply(R, m)
     return _symmetric(lambda i, j: dot(half[i], R[j]), None)
+
+
+def _double_angle(R: Matrix, k: int) -> tuple[Any, Any]:
+    """Halves of the cosine and sine of twice the angle of a turn R about coordinate axis k."""
+    j, i = (k + 1) % 3, (k + 2) % 3
+    cosine, sine = R[j][j], R[i][j]
+    return 0.5 - sine * sine, sine * cosine
+
+
+def _turn_symmetric(m: Matrix, R: Matrix, k: int, twice: tuple[Any, Any]) -> Matrix:
+    """R m R^T of a symmetric m for a turn about coordinate axis k.
+
+    In the plane across the axis the trace stays, and the rest turns by twice the angle: fewer operations than two
+    products, and structural zeros stay.
+    """
+    j, i = (k + 1) % 3, (k + 2) % 3
+    cosine, sine = R[j][j], R[i][j]
+    total, difference = m[j][j] + m[i][i], m[j][j] - m[i][i]
+    turned = dot([twice[0], -twice[1]], [difference, m[j][i] + m[j][i]])
+    mean = 0.5 * total
+    result = identity()
+    result[k][k] = m[k][k]
+    result[k][j] = result[j][k] = dot([cosine, -sine], [m[k][j], m[k][i]])
+    result[k][i] = result[i][k] = dot([sine, cosine], [m[k][j], m[k][i]])
+    result[j][j], result[i][i] = mean + turned, mean - turned
+    result[j][i] = result[i][j] = dot([twice[1], twice[0]], [difference, m[j][i] + m[j][i]])
+    return result
+
+
+def _turn(m: Matrix, R: Matrix, k: int, twice: tuple[Any, Any]) -> Matrix:
+    """R m R^T of any m for a turn about coordinate axis k (see `_turn_symmetric`)."""
+    j, i = (k + 1) % 3, (k + 2) % 3
+    cosine, sine = R[j][j], R[i][j]
+    difference, shear = m[j][j] - m[i][i], m[j][i] + m[i][j]
+    mean, spin = 0.5 * (m[j][j] + m[i][i]), 0.5 * (m[j][i] - m[i][j])
+    turned = dot([twice[0], -twice[1]], [difference, shear])
+    sheared = dot([twice[1], twice[0]], [difference, shear])
+    result = identity()
+    result[k][k] = m[k][k]
+    result[k][j], result[k][i] = dot([cosine, -sine], [m[k][j], m[k][i]]), dot([sine, cosine], [m[k][j], m[k][i]])
+    result[j][k], result[i][k] = dot([cosine, -sine], [m[j][k], m[i][k]]), dot([sine, cosine], [m[j][k], m[i][k]])
+    result[j][j], result[i][i] = mean + turned, mean - turned
+    result[j][i], result[i][j] = sheared + spin, sheared - spin
+    return result
 
 
 def _sum(a: Matrix, b: Matrix) -> Matrix:

@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+
 from echelon.warp_kernels.articulated import Kinematics
 from echelon.warp_kernels.contact import Contact, JointForces, strain_count
 from echelon.warp_kernels.model import Model
@@ -51,6 +53,23 @@ class View:
     contacts: Mapping[str, Contact] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Population:
+    """The individuals of a crowd as they start.
+
+    Attributes:
+        q: Generalised positions, a free root's relative to the agent's place on the ground, shape [agents, q_count].
+        u: Generalised speeds, shape [agents, u_count].
+        parameters: What differs between them, by name, shape [agents] each.
+        memory: Where their controllers' memory differs from the usual, by name, shape [agents] each.
+    """
+
+    q: np.ndarray
+    u: np.ndarray
+    parameters: Mapping[str, np.ndarray]
+    memory: Mapping[str, np.ndarray]
+
+
 class Character(Protocol):
     """A body with a controller.
 
@@ -73,6 +92,10 @@ class Character(Protocol):
     commands: tuple[str, ...]
     phase_names: tuple[str, ...]
     events: tuple[str, ...]
+
+    def population(self, count: int, seed: int, variation: float, in_phase: bool) -> Population:
+        """Individuals that differ by about `variation`, ready to start; agent i does not depend on the count."""
+        ...
 
     def control(self, view: View) -> None:
         """Decide, once a tick: assign to ``view.memory``."""

@@ -107,7 +107,7 @@ def contact(
     point = add(list(site.position), _deepest(site, normal))
     height = dot(list(plane[:3]), origin) - plane[3] + dot(normal, point)
     touching = height < 0.0
-    implicit_step = 0.0 if site.law == "soft" else step
+    implicit_step = 0.0 if site.integration == "explicit" else step
     if site.use == "usual":
         return _touch(kin, model, site, plane, strain, implicit_step, advance, normal, point, height, touching)
     # A rare site: all that follows is skipped while nobody touches.

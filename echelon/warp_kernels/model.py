@@ -35,7 +35,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Self, TypeVar, get_args
 
 import numpy as np
 
@@ -46,6 +46,9 @@ Matrix3 = tuple[Vec3, Vec3, Vec3]
 JointKind = Literal["free", "ball", "pin", "universal", "gimbal", "slider"]
 VisualShape = Literal["ellipsoid", "capsule", "cylinder", "box"]
 Surface = Literal["ground", "wall"]
+Integration = Literal["implicit", "explicit"]
+Use = Literal["usual", "rare"]
+_Record = TypeVar("_Record")
 
 AXIS_COUNT: Mapping[str, int] = {"free": 0, "ball": 0, "pin": 1, "universal": 2, "gimbal": 3, "slider": 1}
 Q_COUNT: Mapping[str, int] = {"free": 7, "ball": 4, "pin": 1, "universal": 2, "gimbal": 3, "slider": 1}
@@ -127,7 +130,8 @@ class Spring:
     """A two-sided spring and damper between a site on one link and a site on another.
 
     With ``rest_length`` zero it is a bushing: the force is linear in the gap vector and its rate. Otherwise it acts
-    along the line between the sites. A link name of None stands for the world.
+    along the line between the sites. A link name of None stands for the world; in plain data the empty string does,
+    since TOML has no null.
 
     Attributes:
         stiffness: [N/m].
@@ -157,8 +161,9 @@ class ContactSite:
         tangential_stiffness, tangential_damping: Of the sticking anchor [N/m], [N s/m].
         friction: Coulomb coefficient.
         patch_radius: Radius of the patch whose friction resists spinning about the normal; 0 for none [m].
-        law: "stiff" takes its force implicitly (see `contact`); "soft" does not, which is cheaper and right where
-            the mass behind the site is large enough for the step.
+        integration: "implicit" takes its stiffness and damping implicitly (see `contact`) and is stable whatever they
+            are; "explicit" does not, which is cheaper and right where the mass behind the site is large enough for the
+            step (see `stability`).
         use: "usual", or "rare" for a site that hardly ever touches: its arithmetic is skipped while nobody's does.
     """
 
@@ -173,8 +178,8 @@ class ContactSite:
     tangential_damping: float = 500.0
     friction: float = 0.9
     patch_radius: float = 0.0
-    law: Literal["stiff", "soft"] = "stiff"
-    use: Literal["usual", "rare"] = "usual"
+    integration: Integration = "implicit"
+    use: Use = "usual"
 
 
 @dataclass(frozen=True)
@@ -258,21 +263,32 @@ class Model:
 
     # ---- plain data ------------------------------------------------------------------------------------------------
     def to_dict(self) -> dict[str, Any]:
-        """Plain lists, numbers and strings that `Model.from_dict` and TOML or JSON understand."""
+        """Plain lists, numbers and strings that `Model.from_dict` and TOML or JSON understand: nothing is null."""
         data = asdict(self)
         del data["parents"]
+        for spring in data["springs"]:
+            for end in ("link_a", "link_b"):
+                spring[end] = spring[end] or ""
         return _plain(data)
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Model:
+    def from_dict(cls, data: Mapping[str, Any]) -> Self:
         """Build from plain data (parsed TOML or JSON); raises ModelError naming the key that is wrong."""
-        name = str(data.get("name", "body"))
+        if not isinstance(data, Mapping):
+            raise ModelError(f"body: expected a table, found {data!r}")
+        name = data.get("name", "body")
         where = f"body {name!r}"
+        if not isinstance(name, str):
+            raise ModelError(f"{where}: name is not a string")
         _check_keys(where, data, cls, leave_out=("parents",))
-        links = tuple(_link(where, entry) for entry in data.get("links", ()))
-        springs = tuple(_record(Spring, f"{where}, spring {i}", entry) for i, entry in enumerate(data.get("springs", ())))
+        links = tuple(_link(where, entry) for entry in _list(f"{where}, links", data.get("links", ())))
+        springs = tuple(
+            _spring(f"{where}, spring {i}", entry)
+            for i, entry in enumerate(_list(f"{where}, springs", data.get("springs", ())))
+        )
         contacts = tuple(
-            _record(ContactSite, f"{where}, contact {i}", entry) for i, entry in enumerate(data.get("contacts", ()))
+            _record(ContactSite, f"{where}, contact {i}", entry)
+            for i, entry in enumerate(_list(f"{where}, contacts", data.get("contacts", ())))
         )
         gravity = _number(f"{where}, gravity", data.get("gravity", 9.80665))
         return cls(name=name, links=links, springs=springs, contacts=contacts, gravity=gravity)
@@ -340,8 +356,11 @@ def _checked_parents(model: Model) -> tuple[int, ...]:
             raise ModelError(f"{where}, contact {contact.name!r}: link {contact.link!r} is missing")
         if contact.surface not in get_args(Surface):
             raise ModelError(f"{where}, contact {contact.name!r}: surface {contact.surface!r} is not ground or wall")
-        if contact.law not in ("stiff", "soft") or contact.use not in ("usual", "rare"):
-            raise ModelError(f"{where}, contact {contact.name!r}: law is stiff or soft, use is usual or rare")
+        for key, allowed in (("integration", get_args(Integration)), ("use", get_args(Use))):
+            if getattr(contact, key) not in allowed:
+                raise ModelError(
+                    f"{where}, contact {contact.name!r}: {key} {getattr(contact, key)!r} is not {' or '.join(allowed)}"
+                )
         _check_finite(f"{where}, contact {contact.name!r}", contact)
     if not np.isfinite(model.gravity):
         raise ModelError(f"{where}: gravity is {model.gravity}, not a finite number")
@@ -418,13 +437,17 @@ def _number(where: str, value: Any) -> float:
     return float(value)
 
 
+def _list(where: str, value: Any) -> Sequence[Any]:
+    if isinstance(value, str | bytes) or not isinstance(value, Sequence):
+        raise ModelError(f"{where}: {value!r} is not a list")
+    return value
+
+
 def _vector(where: str, value: Any) -> tuple[float, ...]:
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        raise ModelError(f"{where}: {value!r} is not a list of numbers")
-    return tuple(_number(where, entry) for entry in value)
+    return tuple(_number(where, entry) for entry in _list(where, value))
 
 
-def _record(record: type, where: str, data: Any) -> Any:
+def _record(record: type[_Record], where: str, data: Any) -> _Record:
     """Build one flat record: numbers, strings, vectors; the type's own defaults fill what is missing."""
     _check_keys(where, data, record)
     values: dict[str, Any] = {}
@@ -460,7 +483,10 @@ def _link(where: str, data: Any) -> Link:
     for key in ("name", "joint", "mass"):
         if key not in data:
             raise ModelError(f"{here}: {key} is missing")
-    inertia = [list(_vector(f"{here}, inertia", row)) for row in data.get("inertia", ((0.0,) * 3,) * 3)]
+    if not isinstance(data["name"], str):
+        raise ModelError(f"{here}: name is not a string")
+    rows = _list(f"{here}, inertia", data.get("inertia", ((0.0,) * 3,) * 3))
+    inertia = [_vector(f"{here}, inertia", row) for row in rows]
     if len(inertia) != 3 or any(len(row) != 3 for row in inertia):
         raise ModelError(f"{here}, inertia: expected three rows of three numbers")
     com = _vector(f"{here}, com", data.get("com", (0.0, 0.0, 0.0)))
@@ -470,14 +496,23 @@ def _link(where: str, data: Any) -> Link:
     if parent is not None and not isinstance(parent, str):
         raise ModelError(f"{here}, parent: {parent!r} is not a string")
     return Link(
-        name=str(data["name"]),
+        name=data["name"],
         parent=parent,
         joint=_joint(here, data["joint"]),
         mass=_number(f"{here}, mass", data["mass"]),
         com=(com[0], com[1], com[2]),
         inertia=tuple((row[0], row[1], row[2]) for row in inertia),  # type: ignore[arg-type]
-        visuals=tuple(_visual(f"{here}, visual {i}", entry) for i, entry in enumerate(data.get("visuals", ()))),
+        visuals=tuple(
+            _visual(f"{here}, visual {i}", entry)
+            for i, entry in enumerate(_list(f"{here}, visuals", data.get("visuals", ())))
+        ),
     )
+
+
+def _spring(where: str, data: Any) -> Spring:
+    _check_keys(where, data, Spring)
+    ends = {end: data[end] if data[end] != "" else None for end in ("link_a", "link_b") if end in data}
+    return _record(Spring, where, {**data, **ends})
 
 
 def _joint(here: str, data: Any) -> Joint:
@@ -487,9 +522,10 @@ def _joint(here: str, data: Any) -> Joint:
     _check_keys(here, data, Joint)
     flat = {key: value for key, value in data.items() if key not in ("axes", "limits")}
     joint = _record(Joint, here, flat)
-    axes = tuple(_vector(f"{here}, axes", axis) for axis in data.get("axes", ()))
+    axes = tuple(_vector(f"{here}, axes", axis) for axis in _list(f"{here}, axes", data.get("axes", ())))
     # TOML has no null: an axis without limits is an empty list there.
-    limits = tuple(_vector(f"{here}, limits", pair) if pair else None for pair in data.get("limits", ()))
+    pairs = _list(f"{here}, limits", data.get("limits", ()))
+    limits = tuple(None if pair is None else _vector(f"{here}, limits", pair) or None for pair in pairs)
     if any(len(axis) != 3 for axis in axes) or any(pair is not None and len(pair) != 2 for pair in limits):
         raise ModelError(f"{here}: axes are lists of 3 numbers, limits lists of 2 (or empty)")
     return Joint(
@@ -511,10 +547,11 @@ def _visual(here: str, data: Any) -> Visual:
 
 
 def _plain(value: Any) -> Any:
+    """Without what is None: a key is left out, an entry of a list is an empty list."""
     if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
+        return {key: _plain(entry) for key, entry in value.items() if entry is not None}
     if isinstance(value, tuple | list):
-        return [_plain(entry) for entry in value]
+        return [[] if entry is None else _plain(entry) for entry in value]
     if isinstance(value, np.generic):
         return value.item()
     return value

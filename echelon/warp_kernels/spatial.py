@@ -54,6 +54,38 @@ def cross(a: Vector, b: Vector) -> Vector:
     ]
 
 
+def dot_onto(start: Any, a: Vector, b: Vector) -> Any:
+    """start + a . b, one multiply-add a term."""
+    for x, y in zip(a, b, strict=True):
+        if not (is_zero(x) or is_zero(y)):
+            start = start + x * y
+    return start
+
+
+def cross_onto(start: Vector, a: Vector, b: Vector) -> Vector:
+    """start + a x b, one multiply-add a term."""
+    result: Vector = []
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        total = start[i]
+        if not (is_zero(a[j]) or is_zero(b[k])):
+            total = total + a[j] * b[k]
+        if not (is_zero(a[k]) or is_zero(b[j])):
+            total = total - a[k] * b[j]
+        result.append(total)
+    return result
+
+
+def apply_onto(start: Vector, m: Matrix, a: Vector) -> Vector:
+    """start + m a."""
+    return [dot_onto(x, row, a) for x, row in zip(start, m, strict=True)]
+
+
+def apply_transposed_onto(start: Vector, m: Matrix, a: Vector) -> Vector:
+    """start + m^T a."""
+    return [dot_onto(start[j], [m[0][j], m[1][j], m[2][j]], a) for j in range(3)]
+
+
 def _difference(a: Any, b: Any, c: Any, d: Any) -> Any:
     """a b - c d without structural zeros."""
     first = 0.0 if is_zero(a) or is_zero(b) else a * b
