@@ -78,7 +78,7 @@ FULL_LOAD = 120.0  # load on the foot at which hip torque is given in full [N]
 RETRACTION = 0.06  # the leg is this much shorter while it swings [m]
 EFFICIENCY = 0.80  # part of the spring's energy that reaches the next apex
 THRUST_LIMIT = 0.12  # [m]
-LIMP_DAMPING = 1.5  # hip of a fallen robot [N m s/rad]
+LIMP_DAMPING = 4.0  # hip of a fallen robot [N m s/rad]
 FALLEN_COSINE = 0.5  # of the tilt at which a robot counts as fallen: 60 degrees
 USUAL_STANCE = 0.17  # [s], until the first stance has been timed
 SHORTEST_STANCE, LONGEST_STANCE = 0.10, 0.30  # a measured stance is held between these [s]
@@ -180,6 +180,7 @@ def hopper_model() -> Model:
                 tangential_damping=400.0,
                 friction=0.7,
                 patch_radius=0.06,
+                rolling_resistance=0.025,
                 integration="explicit",
                 use="rare",
             ),

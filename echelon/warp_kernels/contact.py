@@ -25,6 +25,8 @@ d) that terrain hands in. The contact point is the site's deepest.
   and leaves the magnitude, Coulomb's, alone.
 * **Spin**: a patch of some radius resists turning about the normal in the same way, by friction times load times
   2/3 of its radius (a disc under even pressure).
+* **Rolling** resistance is a moment against any turning, a lever arm times the load: what brings a fallen body to rest
+  on turf.
 """
 
 from __future__ import annotations
@@ -46,6 +48,7 @@ from echelon.warp_kernels.spatial import (
     is_zero,
     multiply,
     negate,
+    norm,
     scale,
     skew,
     subtract,
@@ -55,6 +58,9 @@ from echelon.warp_kernels.trace import clamp, guarded, maximum, minimum, select,
 
 PEEL_ACCELERATION = 100.0
 """Up to this acceleration of the link away from the ground, contact never pulls [m/s^2]."""
+
+ROLL_RATE = 0.3
+"""Turning slower than this, rolling resistance fades, so that it does not depend on a sign [rad/s]."""
 
 SLIP_SPEED = 0.01
 """Speed below which the friction of a site without an anchor fades, so that it does not depend on a sign [m/s]."""
@@ -170,6 +176,10 @@ def _touch(
         new_strain = [*new_strain, torsion[1]]
         rate = [*rate, select(touching, dot(normal, omega), 0.0)]
     load = _load(kin, place, model, rotation, point, force, B, moment, torsion[0], normal)
+    if site.rolling_resistance > 0.0:
+        slowing = (-site.rolling_resistance * N) / maximum(norm(omega), ROLL_RATE)
+        turning = [a + slowing * w for a, w in zip(load.moment, omega, strict=True)]
+        load = ContactLoad(turning, load.force, load.inertia, load.coupling, load.mass)
     return Contact(load, N, -height, new_strain, rate)
 
 

@@ -48,11 +48,23 @@ VisualShape = Literal["ellipsoid", "capsule", "cylinder", "box"]
 Surface = Literal["ground", "wall"]
 Integration = Literal["implicit", "explicit"]
 Use = Literal["usual", "rare"]
-_Record = TypeVar("_Record")
 
 AXIS_COUNT: Mapping[str, int] = {"free": 0, "ball": 0, "pin": 1, "universal": 2, "gimbal": 3, "slider": 1}
 Q_COUNT: Mapping[str, int] = {"free": 7, "ball": 4, "pin": 1, "universal": 2, "gimbal": 3, "slider": 1}
 U_COUNT: Mapping[str, int] = {"free": 6, "ball": 3, "pin": 1, "universal": 2, "gimbal": 3, "slider": 1}
+
+
+# Fields of a contact site that have a size but no sign.
+CONTACT_SIZES = (
+    "radii",
+    "stiffness",
+    "damping",
+    "tangential_stiffness",
+    "tangential_damping",
+    "friction",
+    "patch_radius",
+    "rolling_resistance",
+)
 
 
 class ModelError(InputError):
@@ -161,6 +173,8 @@ class ContactSite:
         tangential_stiffness, tangential_damping: Of the sticking anchor [N/m], [N s/m].
         friction: Coulomb coefficient.
         patch_radius: Radius of the patch whose friction resists spinning about the normal; 0 for none [m].
+        rolling_resistance: Lever arm by which the ground's support runs ahead of a rolling body: its moment is this times
+            the load; 0 for none [m].
         integration: "implicit" takes its stiffness and damping implicitly (see `contact`) and is stable whatever they
             are; "explicit" does not, which is cheaper and right where the mass behind the site is large enough for the
             step (see `stability`).
@@ -178,6 +192,7 @@ class ContactSite:
     tangential_damping: float = 500.0
     friction: float = 0.9
     patch_radius: float = 0.0
+    rolling_resistance: float = 0.0
     integration: Integration = "implicit"
     use: Use = "usual"
 
@@ -249,7 +264,7 @@ class Model:
 
     @property
     def q_reference(self) -> np.ndarray:
-        """The reference pose: zeros, identity quaternions, and the joint's position for a free root; shape [q_count]."""
+        """The reference pose: zeros, identity quaternions, a free root's joint position; shape [q_count]."""
         parts: list[float] = []
         for link in self.links:
             kind = link.joint.kind
@@ -351,6 +366,7 @@ def _checked_parents(model: Model) -> tuple[int, ...]:
             if end is not None and end not in index_of:
                 raise ModelError(f"{where}, spring {spring.name!r}: link {end!r} is missing")
         _check_finite(f"{where}, spring {spring.name!r}", spring)
+        _check_not_negative(f"{where}, spring {spring.name!r}", spring, ("stiffness", "damping", "rest_length"))
     for contact in model.contacts:
         if contact.link not in index_of:
             raise ModelError(f"{where}, contact {contact.name!r}: link {contact.link!r} is missing")
@@ -362,6 +378,7 @@ def _checked_parents(model: Model) -> tuple[int, ...]:
                     f"{where}, contact {contact.name!r}: {key} {getattr(contact, key)!r} is not {' or '.join(allowed)}"
                 )
         _check_finite(f"{where}, contact {contact.name!r}", contact)
+        _check_not_negative(f"{where}, contact {contact.name!r}", contact, CONTACT_SIZES)
     if not np.isfinite(model.gravity):
         raise ModelError(f"{where}: gravity is {model.gravity}, not a finite number")
     _check_outboard_mass(where, model, parents)
@@ -385,6 +402,7 @@ def _check_joint(here: str, link: Link) -> None:
         if limit is not None and not limit[0] < limit[1]:
             raise ModelError(f"{here}: joint limit {list(limit)} is not (lower, upper) with lower < upper")
     _check_finite(f"{here}, joint {joint.name!r}", joint)
+    _check_not_negative(f"{here}, joint {joint.name!r}", joint, ("limit_stiffness", "limit_damping"))
 
 
 def _check_mass(here: str, link: Link) -> None:
@@ -421,7 +439,17 @@ def _check_finite(here: str, record: Any) -> None:
             raise ModelError(f"{here}: {entry.name} is {list(value)}, not finite numbers")
 
 
+def _check_not_negative(here: str, record: Any, names: Sequence[str]) -> None:
+    for name in names:
+        value = getattr(record, name)
+        if np.any(np.asarray(value) < 0.0):
+            raise ModelError(f"{here}: {name} is {value}, must not be negative")
+
+
 # ---- from plain data -----------------------------------------------------------------------------------------------
+_Record = TypeVar("_Record", Joint, Visual, Spring, ContactSite)
+
+
 def _check_keys(where: str, data: Mapping[str, Any], record: type, leave_out: tuple[str, ...] = ()) -> None:
     if not isinstance(data, Mapping):
         raise ModelError(f"{where}: expected a table, found {data!r}")
@@ -457,7 +485,7 @@ def _record(record: type[_Record], where: str, data: Any) -> _Record:
         value, kind, here = data[entry.name], str(entry.type), f"{where}, {entry.name}"
         if value is None and "None" in kind:
             values[entry.name] = None
-        elif kind.startswith("Vec3") or kind.startswith("tuple[float"):
+        elif kind.startswith(("Vec3", "tuple[float")):
             values[entry.name] = _vector(here, value)
             size = 4 if kind.startswith("tuple[float, float, float, float]") else 3
             if len(values[entry.name]) != size:

@@ -19,7 +19,7 @@ around it, and so on, until k are found that are nearer than any agent in the ne
 The order of the lists depends on how the agents were dealt to threads, so nothing may: what a search returns is the
 same whatever the order. `nearest_neighbours` sorts by (distance, index), which leaves no ties.
 
-Agents whose position is not finite are in no list: nobody sees them and they see nobody.
+Agents whose position is not finite, or absurdly far away, are in no list: nobody sees them and they see nobody.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 NOBODY = wp.constant(-1)
+HORIZON = wp.constant(1.0e7)  # [m]; nearer to the origin than this, the number of a cell is an exact integer
+MOST_RINGS = 32  # a search far wider than the distance between neighbours gets larger cells, not more of them
 
 
 @wp.struct
@@ -61,10 +63,11 @@ def cell_table(agent_count: int, cell_size: float, reach: float, device: wp.Devi
 
     Args:
         agent_count: How many agents it is for.
-        cell_size: About the distance between neighbours is best [m].
+        cell_size: About the distance between neighbours is best [m]; larger where `reach` is very much larger.
         reach: Radius of the widest search [m].
         device: Where it lives.
     """
+    cell_size = max(cell_size, reach / MOST_RINGS)
     rings = math.ceil(reach / cell_size)
     side = 1 << max(2, math.ceil(math.log2(max(2 * rings + 2, math.sqrt(agent_count)))))
     table = CellTable()
@@ -79,6 +82,18 @@ def cell_table(agent_count: int, cell_size: float, reach: float, device: wp.Devi
 
 # ---- building ----------------------------------------------------------------------------------------------------------
 @wp.func
+def is_somewhere(place: wp.vec2) -> bool:
+    """Whether a place is finite and not absurdly far away."""
+    return wp.abs(place[0]) < HORIZON and wp.abs(place[1]) < HORIZON
+
+
+@wp.kernel
+def clear_cells(table: CellTable):
+    """Forget everybody; one thread for each of `table.heads`. To be launched before agents are entered anew."""
+    table.heads[wp.tid()] = NOBODY
+
+
+@wp.func
 def cell_entry(column: int, row: int, table: CellTable) -> int:
     """The entry of the table that a cell belongs to."""
     return ((row & table.mask) << table.shift) + (column & table.mask)
@@ -86,10 +101,10 @@ def cell_entry(column: int, row: int, table: CellTable) -> int:
 
 @wp.func
 def enter_agent(agent: int, place: wp.vec2, table: CellTable):
-    """Put an agent into the list of its cell; `table.heads` was all -1 before the first."""
+    """Put an agent into the list of its cell; every agent once after `clear_cells`."""
     table.places[agent] = place
     table.nexts[agent] = NOBODY
-    if wp.isfinite(place[0]) and wp.isfinite(place[1]):
+    if is_somewhere(place):
         column = int(wp.floor(place[0] / table.cell_size))
         row = int(wp.floor(place[1] / table.cell_size))
         table.nexts[agent] = wp.atomic_exch(table.heads, cell_entry(column, row, table), agent)
@@ -120,7 +135,7 @@ def nearest_neighbours(
     place = table.places[agent]
     cap = indices_out.shape[1]
     found = int(0)
-    if not (wp.isfinite(place[0]) and wp.isfinite(place[1])):
+    if not is_somewhere(place):
         return found
 
     size = table.cell_size
