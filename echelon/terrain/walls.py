@@ -7,6 +7,10 @@ A wall is a segment on the ground, a `wp.vec4` (x0, y0, x1, y1); a fence is a po
   of a point, empty for most points of a large field. What runs for every agent in every frame asks this way.
 """
 
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
+# pyright: reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# Kernels: Warp compiles and checks them, and its types mean other things to it than to Python.
+
 from __future__ import annotations
 
 import math
@@ -50,7 +54,7 @@ class Fence:
         return np.hstack([posts, ends])[: len(posts) if self.closed else len(posts) - 1]
 
 
-# ---- set pieces --------------------------------------------------------------------------------------------------------
+# ---- set pieces ------------------------------------------------------------------------------------------------------
 def infield_walls(world: WorldSettings) -> tuple[Fence, ...]:
     """The fences of a world: the infield's, counter-clockwise, if it has one; then the corral's, if there is one."""
     found: list[Fence] = []
@@ -109,14 +113,14 @@ def _stadium(half_length: float, half_width: float) -> tuple[tuple[float, float]
     return tuple(points)
 
 
-# ---- all walls ---------------------------------------------------------------------------------------------------------
+# ---- all walls -------------------------------------------------------------------------------------------------------
 @wp.func
 def closest_on_wall(point: wp.vec2, wall: wp.vec4) -> wp.vec2:
     """The point of a wall that is nearest to `point` [m]."""
     start = wp.vec2(wall[0], wall[1])
     along = wp.vec2(wall[2] - wall[0], wall[3] - wall[1])
     length_sq = wp.dot(along, along)
-    part = float(0.0)
+    part = wp.float32(0.0)
     if length_sq > 0.0:
         part = wp.clamp(wp.dot(point - start, along) / length_sq, 0.0, 1.0)
     return start + part * along
@@ -130,7 +134,7 @@ def nearest_wall(point: wp.vec2, walls: wp.array[wp.vec4]) -> wp.vec4:
     Of walls equally near, the first.
     """
     best_sq = float(NO_WALL * NO_WALL)
-    best = float(-1.0)
+    best = wp.float32(-1.0)
     best_point = point
     for index in range(walls.shape[0]):
         candidate = closest_on_wall(point, walls[index])
@@ -143,7 +147,7 @@ def nearest_wall(point: wp.vec2, walls: wp.array[wp.vec4]) -> wp.vec4:
     return wp.vec4(best_point[0], best_point[1], wp.sqrt(best_sq), best)
 
 
-# ---- walls near a point ------------------------------------------------------------------------------------------------
+# ---- walls near a point ----------------------------------------------------------------------------------------------
 @wp.struct
 class WallGrid:
     """For every cell of a rectangle, the walls within reach of any of its points; outside of it there are none.
@@ -219,12 +223,7 @@ def walls_of_cell(point: wp.vec2, grid: WallGrid) -> wp.vec2i:
     """First and one past the last place in `grid.members` of the walls that may be within `grid.reach` of `point`."""
     place = (point - grid.origin) / grid.cell_size
     # Compared as floats: a coordinate that is not finite, or beyond what an integer holds, is outside as well.
-    if (
-        place[0] >= 0.0
-        and place[1] >= 0.0
-        and place[0] < wp.float32(grid.columns)
-        and place[1] < wp.float32(grid.rows)
-    ):
+    if place[0] >= 0.0 and place[1] >= 0.0 and place[0] < wp.float32(grid.columns) and place[1] < wp.float32(grid.rows):
         cell = int(place[1]) * grid.columns + int(place[0])
         return wp.vec2i(grid.starts[cell], grid.starts[cell + 1])
     return wp.vec2i(0, 0)
@@ -234,7 +233,7 @@ def walls_of_cell(point: wp.vec2, grid: WallGrid) -> wp.vec2i:
 def nearest_wall_within(point: wp.vec2, grid: WallGrid) -> wp.vec4:
     """`nearest_wall` for walls nearer than `grid.reach`: a wall farther away may be passed over."""
     best_sq = float(NO_WALL * NO_WALL)
-    best = float(-1.0)
+    best = wp.float32(-1.0)
     best_point = point
     places = walls_of_cell(point, grid)
     for place in range(places[0], places[1]):

@@ -254,6 +254,10 @@ class Engine:
             "state": self._gather(self.state, 0, self.layout.size),
             "parameters": self._gather(self.parameters, 0, max(len(self.program.parameter_names), 1)),
             "origins": self.origins.numpy()[: self.agent_count].copy(),
+            "positions": self.positions.numpy().copy(),
+            "velocities": self.velocities.numpy().copy(),
+            "down": self.fallen.numpy().copy(),
+            "command": self.command.numpy().copy(),
         }
 
     def load_full_state(self, arrays: Mapping[str, np.ndarray]) -> None:
@@ -261,6 +265,10 @@ class Engine:
         self._assign(self.state, 0, arrays["state"], self.layout.size)
         self._assign(self.parameters, 0, arrays["parameters"], max(len(self.program.parameter_names), 1))
         self.set_origins(arrays["origins"])
+        self.positions.assign(arrays["positions"])
+        self.velocities.assign(arrays["velocities"])
+        self.fallen.assign(arrays["down"])
+        self.command.assign(arrays["command"])
 
     # ---- frames ----------------------------------------------------------------------------------------------------
     def _divide(self, threads: int) -> list[tuple[int, int]]:

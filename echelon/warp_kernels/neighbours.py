@@ -22,6 +22,10 @@ same whatever the order. `nearest_neighbours` sorts by (distance, index), which 
 Agents whose position is not finite, or absurdly far away, are in no list: nobody sees them and they see nobody.
 """
 
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
+# pyright: reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# Kernels: Warp compiles and checks them, and its types mean other things to it than to Python.
+
 from __future__ import annotations
 
 import math
@@ -80,7 +84,7 @@ def cell_table(agent_count: int, cell_size: float, reach: float, device: wp.Devi
     return table
 
 
-# ---- building ----------------------------------------------------------------------------------------------------------
+# ---- building --------------------------------------------------------------------------------------------------------
 @wp.func
 def is_somewhere(place: wp.vec2) -> bool:
     """Whether a place is finite and not absurdly far away."""
@@ -110,7 +114,7 @@ def enter_agent(agent: int, place: wp.vec2, table: CellTable):
         table.nexts[agent] = wp.atomic_exch(table.heads, cell_entry(column, row, table), agent)
 
 
-# ---- searching ---------------------------------------------------------------------------------------------------------
+# ---- searching -------------------------------------------------------------------------------------------------------
 @wp.func
 def nearest_neighbours(
     agent: int,
@@ -134,7 +138,7 @@ def nearest_neighbours(
     """
     place = table.places[agent]
     cap = indices_out.shape[1]
-    found = int(0)
+    found = wp.int32(0)
     if not is_somewhere(place):
         return found
 
@@ -147,12 +151,12 @@ def nearest_neighbours(
     slack = 1.0e-5 * (wp.abs(place[0]) + wp.abs(place[1]) + size)
 
     visible_sq = visibility * visibility
-    ring = int(0)
-    searching = bool(True)
+    ring = wp.int32(0)
+    searching = wp.bool(True)
     while searching:
         for dy in range(-ring, ring + 1):
             # The top and bottom of a ring are whole rows of cells, between them are only its two ends.
-            stride = int(1)
+            stride = wp.int32(1)
             if wp.abs(dy) != ring:
                 stride = 2 * ring
             dx = -ring
@@ -189,14 +193,14 @@ def insert_neighbour(
     indices_out: wp.array2d[wp.int32],
     distances_out: wp.array2d[wp.float32],
 ) -> int:
-    """Insert into a row sorted by (squared distance, index) that holds `found` of at most `cap`; returns the new count."""
+    """Insert into a row sorted by (squared distance, index) that holds `found` of at most `cap`; gives the new one."""
     place = found
     if found == cap:
         last = distances_out[agent, cap - 1]
         if distance_sq > last or (distance_sq == last and other > indices_out[agent, cap - 1]):
             return found
         place = cap - 1
-    moving = bool(True)
+    moving = wp.bool(True)
     while place > 0 and moving:
         before = distances_out[agent, place - 1]
         if distance_sq < before or (distance_sq == before and other < indices_out[agent, place - 1]):

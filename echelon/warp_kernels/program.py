@@ -38,6 +38,7 @@ from echelon.warp_kernels.spatial import (
     quaternion_product,
     scale,
 )
+from echelon.warp_kernels.stability import check_explicit_forces
 from echelon.warp_kernels.trace import Expr, Graph, sincos
 
 Integrator = Literal["semi-implicit", "rk4"]
@@ -126,6 +127,8 @@ class Program:
     def __init__(
         self, character: Character, step: float, tick: float, integrator: Integrator, target: Target, level_ground: bool = False
     ) -> None:
+        if integrator == "semi-implicit":
+            check_explicit_forces(character.body, step)
         self.character = character
         self.step = step
         self.tick = tick

@@ -1,0 +1,607 @@
+"""The `echelon` command.
+
+Exit codes: 0 done, 1 the run failed, 2 the input is wrong. Whatever goes wrong is one line on standard error; what a
+command produces goes to standard output, what it says about its progress to standard error.
+
+What a command needs is imported when the command runs, so that `echelon --help` is there at once.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from echelon.errors import InputError
+from echelon.progress import Progress, Reporter, duration, size
+
+if TYPE_CHECKING:
+    from echelon.recording import Recording
+    from echelon.scenario import Scenario
+
+DONE, FAILED, WRONG_INPUT = 0, 1, 2
+
+_UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's, or that of the copy that typer carries
+
+_Function = TypeVar("_Function", bound=Callable[..., None])
+
+
+class Failure(Exception):
+    """The run failed, in one line."""
+
+
+app = typer.Typer(
+    name="echelon",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # rich takes longer to draw the help than all else that happens until then
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    help="Crowds that obey physics, as finished OpenUSD.",
+    epilog="\b\nBegin with:\n  echelon simulate border-collie --out herd.usd --film herd.mp4",
+)
+
+
+def main() -> None:
+    """Entry point of the command."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command; returns its exit code.
+
+    Args:
+        arguments: As on the command line, the command's own name left out.
+    """
+    try:
+        code = app(args=arguments, prog_name="echelon", standalone_mode=False)
+        return code if isinstance(code, int) else DONE
+    except InputError as error:
+        return _complain(str(error), WRONG_INPUT)
+    except _UsageError as error:
+        message = str(getattr(error, "format_message", error.__str__)()).rstrip(".")
+        path = getattr(getattr(error, "ctx", None), "command_path", "echelon")
+        return _complain(f"{message}; try '{path} --help'", WRONG_INPUT)
+    except Failure as error:
+        return _complain(str(error), FAILED)
+    except OSError as error:
+        name = f"{error.filename}: " if error.filename else ""
+        return _complain(f"{name}{error.strerror or error}", FAILED)
+    except MemoryError:
+        return _complain("out of memory", FAILED)
+
+
+def _complain(message: str, code: int) -> int:
+    print(f"echelon: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
+def _command(name: str, examples: str) -> Callable[[_Function], _Function]:
+    """Register a command; an interruption that it does not explain itself becomes a line."""
+
+    def register(function: _Function) -> _Function:
+        @functools.wraps(function)
+        def guarded(*args: Any, **options: Any) -> None:
+            try:
+                function(*args, **options)
+            except KeyboardInterrupt:
+                raise Failure("interrupted") from None
+
+        app.command(name, epilog=f"\b\nExamples:\n{examples}")(guarded)
+        return function
+
+    return register
+
+
+@app.callback(invoke_without_command=True)
+def _top(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False,
+) -> None:
+    if version:
+        from importlib.metadata import version as installed
+
+        print(f"echelon {installed('echelon')}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+# ---- options that several commands share ---------------------------------------------------------------------------
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and nothing else.")]
+Threads = Annotated[int | None, typer.Option(min=1, metavar="T", help="Threads; by default as many as are worth it.")]
+Stage = Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.usd", help="Write a USD stage.")]
+Film = Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Make a film of the scenario's shot.")]
+RecordingFolder = Annotated[Path, typer.Argument(metavar="RECORDING", help="Folder of a recording.")]
+
+
+class Representation(StrEnum):
+    """Of a crowd in a stage."""
+
+    RIG = "rig"
+    SKEL = "skel"
+    POINTS = "points"
+
+
+class Camera(StrEnum):
+    """Which way to look."""
+
+    FOLLOW = "follow"
+    OVERVIEW = "overview"
+    CORRAL = "corral"
+
+
+class Study(StrEnum):
+    """What can be measured."""
+
+    ENGINE = "engine"
+
+
+RepresentationOption = Annotated[
+    Representation,
+    typer.Option(help="rig: a transform a link; skel: UsdSkel, instanced; points: a PointInstancer a link."),
+]
+
+
+# ---- simulate and resume -------------------------------------------------------------------------------------------
+@_command(
+    "simulate",
+    "  echelon simulate border-collie --out herd.usd --film herd.mp4\n"
+    "  echelon simulate herd --agents 105 --seconds 60 --seed 7\n"
+    "  echelon simulate my-scene.toml --set herd.spacing=3 --set world.fence_height=1 --json",
+)
+def simulate(
+    scenario: Annotated[
+        str, typer.Argument(help="Name of a scenario that ships (see `echelon list`), or a .toml file.")
+    ],
+    agents: Annotated[int | None, typer.Option(min=1, metavar="N", help="How many characters.")] = None,
+    seconds: Annotated[float | None, typer.Option(metavar="S", help="How long to simulate, at most.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, metavar="K", help="Seed of what happens at random.")] = None,
+    threads: Threads = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Override any key of the scenario; repeatable."),
+    ] = None,
+    out: Stage = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Where to record; by default beside the stage, or ./SCENARIO.recording."),
+    ] = None,
+    film: Film = None,
+    representation: RepresentationOption = Representation.RIG,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate a scenario: recording, stage, film.
+
+    The stage and the film are made if asked for. The recording is written as the run goes on: killed at any moment,
+    it is gone on with by `echelon resume`.
+    """
+    from echelon.scenario import Scenario
+
+    overrides = list(settings or ())
+    for key, value in (("crowd.count", agents), ("seconds", seconds), ("seed", seed)):
+        overrides += [f"{key}={value}"] if value is not None else []
+    plan = Scenario.load(scenario, overrides)
+    folder = recording or (out.with_suffix(".recording") if out is not None else Path(f"{plan.name}.recording"))
+    reporter = Reporter(quiet or as_json)
+    _check_products(out, film)
+    _announce(reporter, plan, folder)
+
+    def work(progress: Progress) -> Recording:
+        from echelon.simulation import simulate
+
+        return simulate(plan, recording=folder, threads=threads, progress=progress)
+
+    _run_and_report(reporter, work, folder, plan, out, film, representation, as_json)
+
+
+@_command("resume", "  echelon resume herd.recording --out herd.usd")
+def resume(
+    recording: RecordingFolder,
+    threads: Threads = None,
+    out: Stage = None,
+    film: Film = None,
+    representation: RepresentationOption = Representation.RIG,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Go on with a run that was interrupted.
+
+    It ends with the same bytes as if it had not been.
+    """
+    from echelon.recording import Recording
+    from echelon.scenario import Scenario
+
+    opened = Recording(recording)
+    if opened.status == "done":
+        raise InputError(f"{recording}: this recording is finished ({opened.frame_count} frames); nothing to resume")
+    plan = Scenario.from_dict(opened.scenario, source=str(recording))
+    reporter = Reporter(quiet or as_json)
+    _check_products(out, film)
+    reporter.say(f"{plan.name}: going on after {opened.frame_count} frames of at most {plan.step_count + 1}")
+
+    def work(progress: Progress) -> Recording:
+        from echelon.simulation import resume
+
+        return resume(recording, threads=threads, progress=progress)
+
+    _run_and_report(reporter, work, recording, plan, out, film, representation, as_json)
+
+
+def _check_products(out: Path | None, film: Path | None) -> None:
+    """Find out about a misspelt folder before the run, not after it."""
+    if out is not None:
+        from echelon.export.stage.layer_files import checked_stage_path
+
+        checked_stage_path(out)
+    if film is not None:
+        from echelon.export.picture_files import checked_path
+
+        checked_path(film, (".mp4",))
+
+
+def _announce(reporter: Reporter, plan: Scenario, folder: Path) -> None:
+    """Say about how long the run will take and how much disk it will use, and whether something is replaced."""
+    from echelon.agents.bodies import load_body
+    from echelon.recording import check_place, estimate_bytes
+
+    replaces = check_place(folder)
+    links = len(load_body(plan.crowd.character).link_names)
+    frames, count = plan.step_count + 1, plan.crowd.count
+    actors = int(plan.collie is not None)
+    disk = estimate_bytes(frames, count, links, frame_rate=plan.frame_rate, actor_count=actors)
+    free = shutil.disk_usage(folder.absolute().parent).free
+    if disk > free:
+        raise Failure(f"{folder}: the recording needs about {size(disk)}, but only {size(free)} are free there")
+    if replaces:
+        reporter.say(f"replacing the recording {folder}")
+    most = "at most " if plan.until else ""
+    reporter.say(
+        f"{plan.name}: {count} {plan.crowd.character}s, {most}{plan.seconds:g} s at {plan.frame_rate} frames a second; "
+        f"takes {most}about {duration(_expected_seconds(plan))} and {size(disk)} of disk"
+    )
+
+
+def _expected_seconds(plan: Scenario) -> float:
+    """A rough guess of how long a run takes on one core [s]; the progress knows better once it has begun."""
+    per_substep = 3e-8 * (4.0 if plan.engine.integrator == "rk4" else 1.0)
+    return 1.0 + plan.step_count * (1e-4 + plan.crowd.count * plan.engine.substeps * per_substep)
+
+
+def _run_and_report(
+    reporter: Reporter,
+    work: Callable[[Progress], Recording],
+    folder: Path,
+    plan: Scenario,
+    out: Path | None,
+    film: Path | None,
+    representation: Representation,
+    as_json: bool,
+) -> None:
+    """Run, write what was asked for, report."""
+    clock = _LoopClock()
+    with _only_json(as_json):
+        with _resumable(folder), reporter.progress(plan.name, "frames", plan.frame_rate) as progress:
+            recording = work(clock.watched(progress))
+        clock.stop()
+        if out is not None:
+            _write_stage(reporter, recording, out, representation)
+        unfilmed = _film_shot(reporter, recording, film) if film is not None else ""
+    made = {"recording": folder, "stage": out, "film": None if unfilmed else film}
+    report = _report(recording, clock, made)
+    if as_json:
+        print(json.dumps(report))
+    elif not reporter.quiet:
+        print(_report_text(report))
+    if unfilmed:
+        raise Failure(unfilmed)
+
+
+def _write_stage(reporter: Reporter, recording: Recording, out: Path, representation: Representation) -> None:
+    from echelon.export.usd import write_stage
+
+    with reporter.progress(str(out), "parts") as progress:
+        write_stage(recording, out, representation.value, progress)
+
+
+def _film_shot(reporter: Reporter, recording: Recording, film: Path) -> str:
+    """Make the film of the scenario's shot; returns why it could not be made on this machine, or nothing."""
+    from echelon.export.pictures import render_film
+    from echelon.export.renderer import RenderingUnavailable
+
+    try:
+        with reporter.progress(str(film), "pictures") as progress:
+            render_film(recording, film, progress=progress, **_shot_options(recording))
+    except RenderingUnavailable as error:
+        return f"{film}: no film was made: {error}"
+    return ""
+
+
+def _shot_options(recording: Recording) -> dict[str, Any]:
+    """What `render_film` is to be told about the shot that the recording's scenario asks for."""
+    from echelon.scenario import Scenario
+
+    shot = Scenario.from_dict(recording.scenario, source=str(recording.path)).shot
+    first, last = shot.frames(recording.frame_count)
+    return {
+        "start": first / recording.frame_rate,
+        "seconds": (last - first + 1) / recording.frame_rate,
+        "fps": recording.frame_rate / shot.film_every,
+        "size": shot.size,
+        "camera": shot.camera,
+    }
+
+
+class _LoopClock:
+    """Times the frame loop apart from what comes before it: starting Warp, and compiling on the first run."""
+
+    def __init__(self) -> None:
+        self.begun = time.perf_counter()
+        self.first: float | None = None
+        self.frames_before = 0
+        self.ended = self.begun
+
+    def watched(self, progress: Progress) -> Progress:
+        """The callback, which also starts the clock when it is called first."""
+
+        def callback(done: int, total: int) -> None:
+            if self.first is None:
+                self.first, self.frames_before = time.perf_counter(), done
+            progress(done, total)
+
+        return callback
+
+    def stop(self) -> None:
+        self.ended = time.perf_counter()
+
+    @property
+    def startup_seconds(self) -> float:
+        return (self.first or self.begun) - self.begun
+
+    @property
+    def wall_seconds(self) -> float:
+        return self.ended - (self.first or self.begun)
+
+
+def _report(recording: Recording, clock: _LoopClock, made: dict[str, Path | None]) -> dict[str, Any]:
+    """What a run reports; the times are of this run of the command, all else is in the recording."""
+    summary = recording.summary
+    simulated = (recording.frame_count - clock.frames_before) / recording.frame_rate
+    report = {
+        "scenario": recording.scenario["name"],
+        "agents": recording.agent_count,
+        "seed": recording.scenario["seed"],
+        **summary,
+        "wall_seconds": round(clock.wall_seconds, 4),
+        "startup_seconds": round(clock.startup_seconds, 4),
+        "real_time_factor": round(simulated / max(clock.wall_seconds, 1e-9), 2),
+    }
+    return report | {name: None if path is None else str(path) for name, path in made.items()}
+
+
+def _report_text(report: dict[str, Any]) -> str:
+    took = f"{duration(report['wall_seconds'])}, {report['real_time_factor']:.3g} x real time"
+    lines = [f"{report['scenario']}: {report['agents']} agents, {report['seconds']:g} s simulated in {took}"]
+    hidden = ("scenario", "agents", "seconds", "wall_seconds", "startup_seconds", "real_time_factor")
+    shown = {key: value for key, value in report.items() if key not in hidden and value is not None}
+    width = max(len(key) for key in shown)
+    return "\n".join(lines + [f"  {key.replace('_', ' '):<{width}}  {value}" for key, value in shown.items()])
+
+
+@contextmanager
+def _only_json(as_json: bool) -> Iterator[None]:
+    """Keep whatever libraries print off standard output, which is the JSON object's."""
+    if as_json:
+        with redirect_stdout(sys.stderr):
+            yield
+    else:
+        yield
+
+
+@contextmanager
+def _resumable(folder: Path) -> Iterator[None]:
+    """Turn what ends a run before its time into a line that says how to go on."""
+    from echelon.recording import RecordingFailed, is_recording
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        hint = f"; go on with: echelon resume {folder}" if is_recording(folder) else ""
+        raise Failure(f"interrupted{hint}") from None
+    except RecordingFailed as error:
+        raise Failure(str(error)) from None
+
+
+# ---- what is made of a recording -----------------------------------------------------------------------------------
+@_command(
+    "export",
+    "  echelon export herd.recording --out herd.usd\n"
+    "  echelon export herd.recording --out crowd.usd --representation points\n"
+    "  echelon export herd.recording --out frame90.usda --physics 90",
+)
+def export(
+    recording: RecordingFolder,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.usd", help="The stage to write.")],
+    representation: RepresentationOption = Representation.RIG,
+    also: Annotated[
+        list[Representation] | None,
+        typer.Option(help="A further representation to choose from in the stage's variant set; repeatable."),
+    ] = None,
+    physics: Annotated[
+        int | None,
+        typer.Option(min=0, metavar="FRAME", help="Write instead a physics layer (UsdPhysics) of this frame."),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write a USD stage of a recording."""
+    from echelon.recording import Recording
+
+    opened = Recording(recording)
+    reporter = Reporter(quiet)
+    if physics is not None:
+        from echelon.export.physics import write_physics
+
+        write_physics(opened, out, physics)
+    else:
+        from echelon.export.usd import write_stage
+
+        with reporter.progress(str(out), "parts") as progress:
+            write_stage(opened, out, representation.value, progress, also=[name.value for name in also or ()])
+    reporter.say(f"wrote {out} ({size(out.stat().st_size)})")
+
+
+@_command(
+    "render",
+    "  echelon render herd.recording --out herd.mp4\n"
+    "  echelon render herd.usd --out close.mp4 --start 10 --seconds 5 --size 1280x720\n"
+    "  echelon render herd.recording --out still.png --time 12.5\n"
+    "  echelon render herd.recording --out strip.png --strip 0.5 --start 10 --count 6",
+)
+def render(
+    source: Annotated[Path, typer.Argument(metavar="RECORDING_OR_STAGE", help="A recording, or a stage made of one.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mp4|FILE.png", help="A film, or a picture.")],
+    strip: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="A filmstrip: snapshots so far apart, side by side.")
+    ] = None,
+    start: Annotated[float | None, typer.Option(metavar="S", help="Time of the first picture.")] = None,
+    seconds: Annotated[float | None, typer.Option(metavar="S", help="How long the film is.")] = None,
+    time_: Annotated[float | None, typer.Option("--time", metavar="S", help="Time of a still.")] = None,
+    count: Annotated[int | None, typer.Option(min=1, metavar="N", help="Snapshots of a filmstrip.")] = None,
+    fps: Annotated[float | None, typer.Option(metavar="RATE", help="Pictures a second of a film.")] = None,
+    size_: Annotated[str | None, typer.Option("--size", metavar="WxH", help="Size of a picture [pixels].")] = None,
+    camera: Annotated[Camera | None, typer.Option(help="Which way to look at it.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make a film, a still or a filmstrip.
+
+    Of a recording, or of a stage that was made of one. A film of a recording is of its scenario's shot unless the
+    options say otherwise.
+    """
+    from echelon.export.pictures import render_film, render_still, render_strip
+    from echelon.export.renderer import RenderingUnavailable
+    from echelon.recording import Recording
+
+    opened = Recording(source) if source.is_dir() or not source.exists() else source
+    film = out.suffix.lower() == ".mp4"
+    kind = "a film" if film else "a filmstrip" if strip is not None else "a still"
+    given = {
+        "start": start, "seconds": seconds, "time": time_, "count": count, "fps": fps,
+        "size": None if size_ is None else _parsed_size(size_), "camera": None if camera is None else camera.value,
+    }  # fmt: skip
+    options = {name: value for name, value in given.items() if value is not None}
+    unfit = set(options) - _PICTURE_OPTIONS[kind]
+    if strip is not None and film:
+        raise InputError(f"--strip: {out} is a film; a filmstrip is a .png")
+    if unfit:
+        raise InputError(f"--{min(unfit)}: not for {kind}, as {out} is to be")
+    if film and isinstance(opened, Recording):
+        shot = _shot_options(opened)
+        if start is not None or seconds is not None:  # another part of the run
+            del shot["start"], shot["seconds"]
+        options = shot | options
+    reporter = Reporter(quiet)
+    try:
+        with reporter.progress(str(out), "pictures") as progress:
+            if film:
+                render_film(opened, out, progress=progress, **options)
+            elif strip is not None:
+                render_strip(opened, out, interval=strip, progress=progress, **options)
+            else:
+                render_still(opened, out, **options)
+    except RenderingUnavailable as error:
+        raise Failure(f"{out}: {error}") from None
+    reporter.say(f"wrote {out} ({size(out.stat().st_size)})")
+
+
+_PICTURE_OPTIONS = {
+    "a film": {"start", "seconds", "fps", "size", "camera"},
+    "a filmstrip": {"start", "count", "size", "camera"},
+    "a still": {"time", "size", "camera"},
+}
+
+
+def _parsed_size(text: str) -> tuple[int, int]:
+    width, times, height = text.lower().partition("x")
+    if not times or not width.isdecimal() or not height.isdecimal():
+        raise InputError(f"--size {text}: must be WIDTHxHEIGHT in pixels, as in 1280x720")
+    return int(width), int(height)
+
+
+@_command("plot", "  echelon plot herd.recording --out herd.png")
+def plot(
+    recording: RecordingFolder,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.png|FILE.pdf", help="The page to write.")],
+    quiet: Quiet = False,
+) -> None:
+    """Plot a run on one page.
+
+    Paths from above, speeds, hop phases, distances.
+    """
+    from echelon.export.plots import plot_run
+    from echelon.recording import Recording
+
+    plot_run(Recording(recording), out)
+    Reporter(quiet).say(f"wrote {out} ({size(out.stat().st_size)})")
+
+
+# ---- bench, list, describe -----------------------------------------------------------------------------------------
+@_command("bench", "  echelon bench engine\n  echelon bench engine --json > engine.json")
+def bench(
+    study: Annotated[Study, typer.Argument(help="engine: how fast bodies are simulated, beside MuJoCo.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON array, and nothing else.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how fast Echelon is on this machine."""
+    from echelon.benchmarks.engine import print_table, run_engine_benchmark
+
+    reporter = Reporter(quiet or as_json)
+    with _only_json(as_json), reporter.progress(f"bench {study}", "measurements") as progress:
+        rows = run_engine_benchmark(progress=progress)
+    if as_json:
+        print(json.dumps(rows))
+    else:
+        print_table(rows)
+
+
+@_command("list", "  echelon list\n  echelon list --json")
+def list_(as_json: Json = False) -> None:
+    """List what ships: scenarios, bodies, characters."""
+    from echelon.description import shipped
+
+    found = shipped()
+    if as_json:
+        print(json.dumps(found))
+        return
+    width = max(len(name) for names in found.values() for name in names)
+    for kind, names in found.items():
+        print(f"{kind}:")
+        for name, line in names.items():
+            print(f"  {name:<{width}}  {line}")
+
+
+@_command(
+    "describe",
+    "  echelon describe border-collie\n  echelon describe male\n  echelon describe herd.recording --json",
+)
+def describe(
+    what: Annotated[str, typer.Argument(metavar="SCENARIO|BODY|RECORDING", help="A name, a file or a folder.")],
+    as_json: Json = False,
+) -> None:
+    """Describe a scenario, a body or a recording.
+
+    A scenario is printed as the whole of its file, defaults included: a good beginning for one of your own.
+    """
+    from echelon.description import describe as described
+
+    data, text = described(what)
+    print(json.dumps(data) if as_json else text)

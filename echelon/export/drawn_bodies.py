@@ -1,0 +1,130 @@
+"""Everything that moves, posed, lit and merged into two surfaces: the bodies, and the shadows that they throw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from echelon.export.light import MOVING_SHADOWS, SHADOW_COLOR, flattened, lit
+from echelon.export.mesh_parts import separate_parts
+from echelon.export.picture_source import DrawnCast, DrawnPart
+from echelon.export.renderer import Surface, joined
+
+_UNKNOWN_COLOR = (0.5, 0.5, 0.5)  # of an actor's part without a colour of its own
+
+
+@dataclass(frozen=True)
+class _Link:
+    """A link's parts as one mesh: points and normals, shape [n, 3], in the link's frame."""
+
+    points: np.ndarray
+    normals: np.ndarray
+
+
+class DrawnBodies:
+    """Bodies that share their shape: agents of a cast, or one actor."""
+
+    def __init__(self, links: Sequence[Sequence[DrawnPart]], colors: np.ndarray) -> None:
+        """
+        Args:
+            links: Parts of each link.
+            colors: Linear RGB of each body, for parts without a colour, shape [bodies, 3].
+        """
+        self._links = [_link(parts) for parts in links]
+        parts = [part for link in links for part in link]
+        first_point = np.cumsum([0] + [len(part.mesh.points) for part in parts])
+        empty = np.empty((len(colors), 0, 3), np.float32)
+        self._albedo = np.concatenate([empty, *[_albedo(part, colors) for part in parts]], axis=1)
+        template = np.concatenate(
+            [
+                np.empty((0, 3), np.int64),
+                *[part.mesh.triangles + first for part, first in zip(parts, first_point, strict=False)],
+            ]
+        )
+        bodies = np.arange(len(colors))
+        self._triangles = (template[None] + first_point[-1] * bodies[:, None, None]).reshape(-1, 3)
+        piece, piece_count = _pieces(parts)
+        # Neighbours in the list get layers of their own; far down the list layers are used again.
+        layer = piece[None] + piece_count * bodies[:, None]
+        self._shadow_heights = MOVING_SHADOWS.heights(layer, piece_count).astype(np.float32)
+        # Shadows are drawn from the top layer down: the depth test lets only the first one darken.
+        height = self._shadow_heights.reshape(-1)[self._triangles[:, 0]]
+        self._shadow_triangles = self._triangles[np.argsort(-height, kind="stable")]
+
+    def surfaces(self, poses: np.ndarray) -> tuple[Surface, Surface]:
+        """The bodies and their shadows.
+
+        Args:
+            poses: Of the links, shape [bodies, links, 7]; links beyond those that are drawn are ignored.
+        """
+        rotations = rotation_matrices(poses[..., 3:]).astype(np.float32)
+        places = poses[..., :3].astype(np.float32)
+        points, normals = [], []
+        for index, link in enumerate(self._links):
+            turn = rotations[:, index].transpose(0, 2, 1)
+            points.append(link.points @ turn + places[:, index, None])
+            normals.append(link.normals @ turn)
+        all_points = np.concatenate(points, axis=1)
+        opaque = np.ones((*all_points.shape[:2], 1), dtype=np.float32)
+        colors = np.concatenate([lit(self._albedo, np.concatenate(normals, axis=1)), opaque], axis=2)
+        flat = flattened(all_points, self._shadow_heights)
+        dark = np.broadcast_to(SHADOW_COLOR, colors.shape)
+        return (
+            Surface(all_points.reshape(-1, 3), colors.reshape(-1, 4), self._triangles),
+            Surface(flat.reshape(-1, 3), dark.reshape(-1, 4), self._shadow_triangles),
+        )
+
+
+class MovingScene:
+    """All casts and actors."""
+
+    def __init__(self, casts: Sequence[DrawnCast], actors: Sequence[Sequence[DrawnPart]]) -> None:
+        self._casts = [(cast.first_agent, DrawnBodies(cast.links, cast.colors)) for cast in casts]
+        self._agent_counts = [len(cast.colors) for cast in casts]
+        self._actors = [DrawnBodies([parts], np.array([_UNKNOWN_COLOR])) for parts in actors]
+
+    def surfaces(self, link_poses: np.ndarray, actor_poses: np.ndarray) -> list[Surface]:
+        """Bodies, then shadows; link poses [agents, links, 7] and actor poses [actors, 7]."""
+        found = [
+            bodies.surfaces(link_poses[first : first + count])
+            for (first, bodies), count in zip(self._casts, self._agent_counts, strict=True)
+        ]
+        found += [bodies.surfaces(actor_poses[index : index + 1, None]) for index, bodies in enumerate(self._actors)]
+        return [joined([solid for solid, _ in found]), joined([shadow for _, shadow in found])]
+
+
+def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
+    """Rotation matrices of unit quaternions (x, y, z, w), shapes [..., 4] and [..., 3, 3]."""
+    x, y, z, w = np.moveaxis(quaternions, -1, 0)
+    rows = [
+        np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=-1),
+        np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=-1),
+        np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=-1),
+    ]
+    return np.stack(rows, axis=-2)
+
+
+def _link(parts: Sequence[DrawnPart]) -> _Link:
+    empty = np.empty((0, 3), np.float32)
+    return _Link(
+        points=np.concatenate([empty, *[part.mesh.points for part in parts]]),
+        normals=np.concatenate([empty, *[part.mesh.normals for part in parts]]),
+    )
+
+
+def _pieces(parts: Sequence[DrawnPart]) -> tuple[np.ndarray, int]:
+    """Which convex piece each point of all parts belongs to, and how many pieces there are."""
+    found = [np.empty(0, np.int64)]
+    count = 0
+    for part in parts:
+        found.append(separate_parts(part.mesh) + count)
+        count = int(found[-1].max(initial=count - 1)) + 1
+    return np.concatenate(found), count
+
+
+def _albedo(part: DrawnPart, colors: np.ndarray) -> np.ndarray:
+    """Linear RGB of a part's points on every body, float32, shape [bodies, points, 3]."""
+    own = colors if part.color is None else np.broadcast_to(np.asarray(part.color), (len(colors), 3))
+    return np.repeat(own[:, None].astype(np.float32), len(part.mesh.points), axis=1)

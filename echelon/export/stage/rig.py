@@ -1,0 +1,46 @@
+"""The crowd as rigs: a prim an agent, a transform a link, animated; what opens everywhere."""
+
+# pyright: reportAttributeAccessIssue=false
+# USD's modules are compiled and come without stubs.
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pxr import Sdf
+
+from echelon.export.stage.agent_data import author_agent_data
+from echelon.export.stage.characters import link_paths, rig_path
+from echelon.export.stage.motion import CastMotion, local_transforms
+from echelon.export.stage.time_samples import author_orientations, author_translations, bends
+
+
+def author_rigs(crowd: Sdf.PrimSpec, assets: Sdf.Path, motion: CastMotion, advance: Callable[[], None]) -> None:
+    """Author an animated rig for every agent of a cast.
+
+    A transform that never leaves its place in the reference pose is left to the character asset.
+
+    Args:
+        crowd: The crowd, or its variant, that gets the agents as children.
+        assets: Where the character assets are.
+        motion: How the agents moved.
+        advance: Called after each agent.
+    """
+    translations, rotations = local_transforms(motion)
+    paths = link_paths(motion.body)
+    asset = Sdf.Reference("", rig_path(assets, motion.name))
+    for agent, name in enumerate(motion.agent_names):
+        prim = Sdf.PrimSpec(crowd, name, Sdf.SpecifierDef, "Xform")
+        prim.kind = "component"
+        prim.referenceList.Prepend(asset)
+        author_agent_data(prim, motion, agent)
+        specs: list[Sdf.PrimSpec] = []
+        for index, path in enumerate(paths):
+            parent = motion.body.parents[index]
+            spec = Sdf.PrimSpec(specs[parent] if parent >= 0 else prim, path.rpartition("/")[2], Sdf.SpecifierOver)
+            specs.append(spec)
+            place, turn = translations[:, agent, index], rotations[:, agent, index]
+            if len(bends(place)) > 1 or tuple(place[0]) != motion.body.links[index].joint.position:
+                author_translations(spec, place)
+            if len(bends(turn)) > 1 or tuple(turn[0]) != (0.0, 0.0, 0.0, 1.0):
+                author_orientations(spec, turn)
+        advance()

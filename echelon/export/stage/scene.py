@@ -1,0 +1,230 @@
+"""All of a stage but the crowd: its metadata, materials, the ground and its fences, the collie, lights and a camera."""
+
+# pyright: reportAttributeAccessIssue=false
+# USD's modules are compiled and come without stubs.
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade, Vt
+
+from echelon.export.shapes import bicycle_visuals, fence_mesh, ground_mesh, rectangle_mesh
+from echelon.export.stage.camera import APERTURE, FOCAL_LENGTH, CameraMove
+from echelon.export.stage.meshes import define_mesh, mesh_names, surfaces_by_color, welded
+from echelon.export.stage.motion import continuous, prim_name, prim_names
+from echelon.export.stage.time_samples import author_op_order, author_orientations, author_translations
+from echelon.recording import Recording
+from echelon.warp_kernels.model import Vec3
+
+TURF: Vec3 = (0.10, 0.19, 0.05)  # linear RGB
+MEADOW: Vec3 = (0.16, 0.20, 0.08)
+TIMBER: Vec3 = (0.28, 0.17, 0.09)
+MEADOW_DEPTH = 0.02  # [m] below the turf, so that the two never share a plane
+MEADOW_REACH = 60.0  # [m] beyond the ground on every side
+
+
+@dataclass(frozen=True)
+class StagePaths:
+    """Where things are on a stage."""
+
+    root: Sdf.Path
+
+    @property
+    def looks(self) -> Sdf.Path:
+        return self.root.AppendChild("Looks")
+
+    @property
+    def assets(self) -> Sdf.Path:
+        return self.root.AppendChild("Assets")
+
+    @property
+    def world(self) -> Sdf.Path:
+        return self.root.AppendChild("World")
+
+    @property
+    def crowd(self) -> Sdf.Path:
+        return self.root.AppendChild("Crowd")
+
+    @property
+    def actors(self) -> Sdf.Path:
+        return self.root.AppendChild("Actors")
+
+    @property
+    def lights(self) -> Sdf.Path:
+        return self.root.AppendChild("Lights")
+
+    @property
+    def cameras(self) -> Sdf.Path:
+        return self.root.AppendChild("Cameras")
+
+
+def begin_stage(recording: Recording, layer: Sdf.Layer) -> tuple[Usd.Stage, StagePaths]:
+    """Open a stage on an empty layer, with its metadata, its default prim and the scopes for materials and assets."""
+    stage = Usd.Stage.Open(layer)
+    name = str(recording.scenario.get("name", "")) or "stage"
+    paths = StagePaths(Sdf.Path.absoluteRootPath.AppendChild(prim_name(name)))
+    root = UsdGeom.Xform.Define(stage, paths.root)
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.assembly)
+    stage.SetDefaultPrim(root.GetPrim())
+    set_metrics(stage)
+    stage.SetTimeCodesPerSecond(recording.frame_rate)
+    stage.SetFramesPerSecond(recording.frame_rate)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(recording.frame_count - 1)
+    layer.documentation = f"{name}, simulated by Echelon"
+    layer.customLayerData = custom_layer_data(recording)
+    UsdGeom.Scope.Define(stage, paths.looks)
+    UsdGeom.Scope.Define(stage, paths.assets)
+    return stage, paths
+
+
+def set_metrics(stage: Usd.Stage) -> None:
+    """z up, metres, kilograms."""
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetMetadata("kilogramsPerUnit", 1.0)
+
+
+def custom_layer_data(recording: Recording) -> dict[str, Any]:
+    """What a layer says about its origin; the scenario and the run's summary are JSON, so that nothing is lost."""
+    return {
+        "echelon": {
+            "version": version("echelon"),
+            "scenario": json.dumps(recording.scenario, sort_keys=True),
+            "summary": json.dumps(recording.summary, sort_keys=True),
+        }
+    }
+
+
+def define_group(stage: Usd.Stage, path: Sdf.Path, material: UsdShade.Material | None = None) -> UsdGeom.Xform:
+    """Define a transform of kind group, with a material for all beneath it that has none of its own."""
+    return _define_model(stage, path, Kind.Tokens.group, material)
+
+
+# ---- materials ---------------------------------------------------------------------------------------------------
+def define_material(stage: Usd.Stage, path: Sdf.Path, roughness: float) -> UsdShade.Material:
+    """Define a preview surface that takes its colour from ``displayColor``, wherever that is inherited from."""
+    material = UsdShade.Material.Define(stage, path)
+    reader = UsdShade.Shader.Define(stage, path.AppendChild("displayColor"))
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+    reader.CreateInput("fallback", Sdf.ValueTypeNames.Float3).Set(Gf.Vec3f(0.5))
+    color = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
+    surface = UsdShade.Shader.Define(stage, path.AppendChild("surface"))
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(color)
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(roughness)
+    surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    return material
+
+
+# ---- what stands still -------------------------------------------------------------------------------------------
+def define_world(
+    stage: Usd.Stage, paths: StagePaths, world: dict[str, Any], painted: UsdShade.Material, earthy: UsdShade.Material
+) -> None:
+    """Define the ground, what lies around it, and every fence."""
+    define_group(stage, paths.world)
+    ground = _define_component(stage, paths.world.AppendChild("Ground"), earthy)
+    turf = ground_mesh(world["ground"])
+    define_mesh(stage, str(ground.GetPath().AppendChild("turf")), welded([turf]), TURF)
+    reach = turf.extent[1] + MEADOW_REACH
+    meadow = define_mesh(
+        stage,
+        str(ground.GetPath().AppendChild("meadow")),
+        welded([rectangle_mesh(float(reach[0]), float(reach[1]))]),
+        MEADOW,
+    )
+    meadow.AddTranslateOp().Set(Gf.Vec3d(0.0, 0.0, -MEADOW_DEPTH))
+    walls = world.get("walls", [])
+    for name, wall in zip(prim_names([str(wall["name"]) for wall in walls]), walls, strict=True):
+        fence = _define_component(stage, paths.world.AppendChild(name), painted)
+        surface = welded([fence_mesh(wall["points"], wall["closed"], wall["height"])])
+        define_mesh(stage, str(fence.GetPath().AppendChild("fence")), surface, TIMBER)
+
+
+def define_lights(stage: Usd.Stage, paths: StagePaths) -> None:
+    """Define an afternoon: a sun and the sky."""
+    UsdGeom.Scope.Define(stage, paths.lights)
+    sun = UsdLux.DistantLight.Define(stage, paths.lights.AppendChild("sun"))
+    sun.CreateAngleAttr(0.53)
+    sun.CreateIntensityAttr(3.0)
+    sun.CreateColorAttr(Gf.Vec3f(1.0, 0.95, 0.86))
+    sun.AddRotateXYZOp().Set(Gf.Vec3f(38.0, -22.0, 0.0))
+    sky = UsdLux.DomeLight.Define(stage, paths.lights.AppendChild("sky"))
+    sky.CreateIntensityAttr(0.6)
+    sky.CreateColorAttr(Gf.Vec3f(0.62, 0.76, 1.0))
+
+
+# ---- what moves --------------------------------------------------------------------------------------------------
+def define_actors(stage: Usd.Stage, paths: StagePaths, recording: Recording, painted: UsdShade.Material) -> None:
+    """Define the actors, such as the collie on its bicycle; `author_actors` moves them."""
+    define_group(stage, paths.actors, painted)
+    for name in actor_names(recording):
+        actor = _define_component(stage, paths.actors.AppendChild(name))
+        geometry = UsdGeom.Scope.Define(stage, actor.GetPath().AppendChild("geometry"))
+        groups = surfaces_by_color(bicycle_visuals())
+        for mesh_name, (color, meshes) in zip(mesh_names(list(groups)), groups.items(), strict=True):
+            define_mesh(stage, str(geometry.GetPath().AppendChild(mesh_name)), welded(meshes), color)
+
+
+def author_actors(layer: Sdf.Layer, paths: StagePaths, recording: Recording) -> None:
+    """Author the actors' poses, frame by frame."""
+    poses = np.asarray(recording.actor_poses[:], dtype=np.float64)
+    for index, name in enumerate(actor_names(recording)):
+        prim = layer.GetPrimAtPath(paths.actors.AppendChild(name))
+        author_translations(prim, poses[:, index, :3])
+        author_orientations(prim, continuous(poses[:, index, 3:]))
+        author_op_order(prim, ["xformOp:translate", "xformOp:orient"])
+
+
+def actor_names(recording: Recording) -> tuple[str, ...]:
+    """Prim names of the actors."""
+    return prim_names([actor.name for actor in recording.actors])
+
+
+def define_camera(stage: Usd.Stage, paths: StagePaths, move: CameraMove) -> None:
+    """Define the camera; `author_camera` moves it. USD counts focal length and aperture in tenths of a metre here."""
+    UsdGeom.Scope.Define(stage, paths.cameras)
+    camera = UsdGeom.Camera.Define(stage, camera_path(paths))
+    camera.CreateFocalLengthAttr(10.0 * FOCAL_LENGTH)
+    camera.CreateHorizontalApertureAttr(10.0 * APERTURE[0])
+    camera.CreateVerticalApertureAttr(10.0 * APERTURE[1])
+    camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 10_000.0))
+    camera.CreateFocusDistanceAttr(float(move.focus_distances[0]))
+
+
+def author_camera(layer: Sdf.Layer, paths: StagePaths, move: CameraMove) -> None:
+    """Author the camera's position, frame by frame, and its direction."""
+    prim = layer.GetPrimAtPath(camera_path(paths))
+    rotation = Gf.Matrix3d(*move.axes.reshape(-1).tolist()).ExtractRotation().GetQuat()
+    author_translations(prim, move.positions)
+    author_orientations(prim, np.array([[*rotation.GetImaginary(), rotation.GetReal()]]))
+    author_op_order(prim, ["xformOp:translate", "xformOp:orient"])
+
+
+def camera_path(paths: StagePaths) -> Sdf.Path:
+    return paths.cameras.AppendChild("main")
+
+
+def define_phase_names(stage: Usd.Stage, paths: StagePaths, recording: Recording) -> None:
+    """Write down on the crowd what the numbers in ``primvars:phase`` mean."""
+    crowd = stage.GetPrimAtPath(paths.crowd)
+    names = crowd.CreateAttribute("phaseNames", Sdf.ValueTypeNames.TokenArray, True, Sdf.VariabilityUniform)
+    names.Set(Vt.TokenArray(list(recording.phase_names)))
+
+
+def _define_component(stage: Usd.Stage, path: Sdf.Path, material: UsdShade.Material | None = None) -> UsdGeom.Xform:
+    return _define_model(stage, path, Kind.Tokens.component, material)
+
+
+def _define_model(stage: Usd.Stage, path: Sdf.Path, kind: str, material: UsdShade.Material | None) -> UsdGeom.Xform:
+    xform = UsdGeom.Xform.Define(stage, path)
+    Usd.ModelAPI(xform).SetKind(kind)
+    if material is not None:
+        UsdShade.MaterialBindingAPI.Apply(xform.GetPrim()).Bind(material)
+    return xform

@@ -1,0 +1,195 @@
+"""A herd: what its members remember, and the launches that a frame takes. What they want is in `herding`."""
+
+# pyright: reportGeneralTypeIssues=false
+# Warp turns the structs that stand in annotations here into objects of its own.
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from echelon.flocking.commanded import command_constant, command_random
+from echelon.flocking.herding import BLOCK, HerdMind, HerdRules, enter_herd, make_up_mind, want
+from echelon.flocking.perception import pen_of
+from echelon.scenario import HerdSettings, WorldSettings
+from echelon.terrain.walls import wall_grid
+from echelon.warp_kernels.neighbours import CellTable, cell_table, clear_cells
+
+CELL_PER_SPACING = 0.7  # size of the grid's cells: a settled herd stands at about 0.7 of the desired separation
+RADIUS_PER_SPACING = 0.5  # radius of a herd of n, over spacing times the square root of n, with some room
+ABSENT = (math.inf, math.inf, 0.0, 0.0)  # the place and velocity of a user who is not there
+
+_COPIED = (
+    *("spacing", "visibility", "gain", "max_speed", "max_change", "flee_distance", "flee_gain", "wander_gain"),
+    *("wander_arrive", "wall_distance", "wall_gain", "radius", "clearance", "clearance_gain", "lookahead"),
+)
+
+
+@dataclass(frozen=True)
+class HerdArrays:
+    """What a herd remembers from frame to frame, and what it finds out in each.
+
+    Attributes:
+        mind: What it knows and wants as a whole.
+        table: Everybody's place, and the hash grid to find them by.
+        indices: Neighbours of each by (distance, index); what lies beyond those found is stale,
+            shape [agents, neighbours].
+        distances: Their distances [m], shape [agents, neighbours].
+        sums: Sums of places and counts of members, shape [blocks].
+        farthest: Place of the member farthest from the centroid, and its distance [m], shape [blocks].
+        commanded: Desired velocity in the modes "constant" and "random" [m/s], shape [agents].
+    """
+
+    mind: HerdMind
+    table: CellTable
+    indices: wp.array
+    distances: wp.array
+    sums: wp.array[wp.vec3]
+    farthest: wp.array[wp.vec3]
+    commanded: wp.array[wp.vec2]
+
+
+class Herd:
+    """The desired velocities of a crowd, one herd.
+
+    Attributes:
+        arrays: What it remembers and finds out; a collie and the referees of `group` read it.
+        agent_count: How many they are.
+        pen: The corral, as kernels see it.
+        rules: The settings, as kernels see them.
+    """
+
+    def __init__(
+        self,
+        settings: HerdSettings,
+        world: WorldSettings,
+        agent_count: int,
+        *,
+        frame_rate: int,
+        seed: int,
+        user: wp.array[wp.vec4] | None = None,
+        device: wp.DeviceLike = None,
+    ) -> None:
+        """Make a herd that has not seen anything yet.
+
+        Args:
+            settings: What each member wants.
+            world: Where they are.
+            agent_count: How many they are.
+            frame_rate: Frames a second.
+            seed: Of the random goals and velocity changes.
+            user: Place and velocity (x, y [m], vx, vy [m/s]) of whom they flee from, shape [1]; None for nobody.
+            device: Where the arrays live.
+        """
+        self.agent_count = agent_count
+        self.pen = pen_of(world)
+        self.rules = herd_rules(settings, world, agent_count)
+        self.arrays = _herd_arrays(settings, agent_count, device)
+        self._settings = settings
+        self._device = device
+        self._seed = seed
+        self._period = max(1, round(settings.period * frame_rate))
+        self._user = wp.array([ABSENT], dtype=wp.vec4, device=device) if user is None else user
+        reach = settings.wall_distance + settings.max_speed / settings.wall_gain if settings.wall_gain > 0.0 else 0.0
+        self._walls = wall_grid(world, reach, device)
+
+    def enqueue(
+        self,
+        frame: wp.array[wp.int32],
+        positions: wp.array[wp.vec3],
+        velocities: wp.array[wp.vec3],
+        fallen: wp.array[wp.int32],
+        desired_out: wp.array[wp.vec2],
+    ) -> None:
+        """Launch what a frame takes; can be captured in a graph.
+
+        Args:
+            frame: Number of the frame, shape [1].
+            positions: World positions [m], shape [agents].
+            velocities: World velocities [m/s], shape [agents].
+            fallen: 1 for those who have fallen, shape [agents].
+            desired_out: Gets the desired velocities [m/s], shape [agents].
+        """
+        a, rules, device = self.arrays, self.rules, self._device
+        self.enqueue_look(positions, fallen)
+        inputs = [rules, self.pen, self._seed, a.sums, self._user]
+        wp.launch(make_up_mind, dim=1, inputs=inputs, outputs=[a.mind], device=device)
+        if self._settings.mode == "constant":
+            velocity = wp.vec2(*self._settings.desired_velocity)
+            wp.launch(command_constant, self.agent_count, inputs=[velocity], outputs=[desired_out], device=device)
+        elif self._settings.mode == "random":
+            inputs = [frame, self._period, self._seed, self._settings.change, self._settings.max_speed, a.commanded]
+            wp.launch(command_random, self.agent_count, inputs=inputs, outputs=[desired_out], device=device)
+        else:
+            inputs = [rules, self.pen, self._walls, velocities, fallen, self._user, a.table, a.mind]
+            outputs = [a.indices, a.distances, a.farthest, desired_out]
+            wp.launch(want, self.agent_count, inputs=inputs, outputs=outputs, device=device)
+
+    def enqueue_look(self, positions: wp.array[wp.vec3], fallen: wp.array[wp.int32]) -> None:
+        """Launch only the first part of a frame: everybody's place, and the hash grid; arguments as for `enqueue`."""
+        a = self.arrays
+        wp.launch(clear_cells, a.table.heads.shape[0], outputs=[a.table], device=self._device)
+        wp.launch(enter_herd, self.agent_count, [positions, fallen], [a.table, a.sums], device=self._device)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """What the next frame depends on besides its arguments; copies."""
+        mind = self.arrays.mind
+        return {
+            "centroid": mind.centroid.numpy().copy(),
+            "goal": mind.goal.numpy().copy(),
+            "goal_count": mind.goal_count.numpy().copy(),
+            "commanded": self.arrays.commanded.numpy().copy(),
+        }
+
+    def load_state(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from what `state` gave."""
+        mind = self.arrays.mind
+        mind.centroid.assign(state["centroid"])
+        mind.goal.assign(state["goal"])
+        mind.goal_count.assign(state["goal_count"])
+        self.arrays.commanded.assign(state["commanded"])
+
+
+def herd_radius(settings: HerdSettings, agent_count: int) -> float:
+    """About the radius that a herd of this size needs [m]."""
+    return RADIUS_PER_SPACING * settings.spacing * math.sqrt(agent_count)
+
+
+def herd_rules(settings: HerdSettings, world: WorldSettings, agent_count: int) -> HerdRules:
+    """The rules of a herd of this size in this world."""
+    rules = HerdRules()
+    for name in _COPIED:
+        setattr(rules, name, getattr(settings, name))
+    rules.wander = int(settings.wander)
+    radius = herd_radius(settings, agent_count)
+    rules.stray_distance = settings.visibility + 0.5 * radius
+    # So far from the fence that the whole herd has room, but always on the field.
+    rules.goal_clearance = min(radius + settings.wall_distance, 0.5 * min(world.half_width, world.half_length))
+    rules.goal_half_length = world.half_length - rules.goal_clearance
+    rules.goal_radius = min(world.half_width, world.half_length) - rules.goal_clearance
+    return rules
+
+
+def _herd_arrays(settings: HerdSettings, agent_count: int, device: wp.DeviceLike) -> HerdArrays:
+    mind = HerdMind()
+    mind.centroid = wp.zeros(1, dtype=wp.vec2, device=device)
+    mind.member_count = wp.zeros(1, dtype=wp.int32, device=device)
+    mind.fleeing = wp.zeros(1, dtype=wp.int32, device=device)
+    mind.goal = wp.zeros(1, dtype=wp.vec2, device=device)
+    mind.goal_count = wp.zeros(1, dtype=wp.int32, device=device)
+    mind.velocity = wp.zeros(1, dtype=wp.vec2, device=device)
+    blocks = math.ceil(agent_count / BLOCK)
+    rows = (agent_count, min(settings.neighbours, max(1, agent_count - 1)))
+    return HerdArrays(
+        mind=mind,
+        table=cell_table(agent_count, CELL_PER_SPACING * settings.spacing, settings.visibility, device),
+        indices=wp.zeros(rows, dtype=wp.int32, device=device),
+        distances=wp.zeros(rows, dtype=wp.float32, device=device),
+        sums=wp.zeros(blocks, dtype=wp.vec3, device=device),
+        farthest=wp.zeros(blocks, dtype=wp.vec3, device=device),
+        commanded=wp.zeros(agent_count, dtype=wp.vec2, device=device),
+    )
