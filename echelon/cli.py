@@ -23,6 +23,7 @@ import typer
 
 from echelon.errors import InputError
 from echelon.progress import Progress, Reporter, duration, size
+from echelon.warp_start import start_warp
 
 if TYPE_CHECKING:
     from echelon.recording import Recording
@@ -200,6 +201,7 @@ def simulate(
     def work(progress: Progress) -> Recording:
         from echelon.simulation import simulate
 
+        start_warp()
         return simulate(plan, recording=folder, threads=threads, progress=progress)
 
     _run_and_report(reporter, work, folder, plan, out, film, representation, as_json)
@@ -233,6 +235,7 @@ def resume(
     def work(progress: Progress) -> Recording:
         from echelon.simulation import resume
 
+        start_warp()
         return resume(recording, threads=threads, progress=progress)
 
     _run_and_report(reporter, work, recording, plan, out, film, representation, as_json)
@@ -566,6 +569,7 @@ def bench(
 
     reporter = Reporter(quiet or as_json)
     with _only_json(as_json), reporter.progress(f"bench {study}", "measurements") as progress:
+        start_warp()
         rows = run_engine_benchmark(progress=progress)
     if as_json:
         print(json.dumps(rows))

@@ -109,7 +109,7 @@ def _bar(title: str, unit: str, rate: int) -> Iterator[Progress]:
     speed = _Speed(unit, rate)
     # Few refreshes: the bar's thread takes its time from the work.
     with Bar(*columns, console=Console(stderr=True), refresh_per_second=5, transient=True) as bar:
-        task = bar.add_task(title, total=None, status="starting")
+        task = bar.add_task(title, total=None, status="starting (the first run ever compiles for a while)")
 
         def callback(done: int, total: int) -> None:
             status = speed.status(time.perf_counter(), done, total)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_SUN = np.array([-0.80, 0.02, 0.88])
+_SUN = np.array([-0.74, -0.24, 0.88])
 SUN = _SUN / np.linalg.norm(_SUN)  # direction towards the sun: left of the camera, so that shadows fall to the right
 
 SUN_COLOR = np.array([1.16, 1.06, 0.90], dtype=np.float32)  # warm key light, linear RGB

@@ -72,9 +72,9 @@ def _mown(low: np.ndarray, high: np.ndarray, oval: tuple[float, float] | None) -
     """Squares of grass mown to and fro, lighter and darker, between two corners [m] or inside an oval there."""
     x_lines, y_lines = _lines(low[0], high[0]), _lines(low[1], high[1])
     if oval is not None:
-        # Rows end on the outline; more of them where it curves, or its chords would show.
-        curve = oval[1] * np.sin(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 49))
-        y_lines = np.unique(np.clip(np.concatenate([y_lines, curve]), -oval[1], oval[1]))
+        # Rows end on the outline; towards its sides, where it runs along them, more of them, or its chords would show.
+        side = oval[1] * np.array([0.95, 0.975, 0.988, 0.996, 1.0])
+        y_lines = np.unique(np.clip(np.concatenate([y_lines, side, -side]), -oval[1], oval[1]))
     columns, rows = len(x_lines) - 1, len(y_lines) - 1
     corners = np.empty((rows, columns, 4, 2))
     for corner, (x_step, y_step) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1))):

@@ -176,7 +176,7 @@ def _guard_groups(graph: Graph, live: Sequence[int], roots: Sequence[int]) -> di
             op, operands = graph.nodes[index]
             if op == "guard":
                 raise ValueError("a guarded value needs another guarded value: guard both by one condition")
-            late = [i for i in operands if op not in ("const", "input") and i not in inside and i > members[0]]
+            late = [i for i in operands if op not in ("const", "input") and i not in inside and i >= members[0]]
             if late:
                 raise ValueError("guards of one condition must be made together")
         groups[condition] = _GuardGroup(tuple(members), inside)

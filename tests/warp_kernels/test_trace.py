@@ -296,64 +296,73 @@ def test_corners_of_the_arc_sine(value: float, angle: float):
 
 # ---- random graphs ---------------------------------------------------------------------------------------------------
 INPUTS = 6
-LARGEST = 2.0**22  # whole numbers and halves below are exact in float32, so both sides must agree to the last bit
+VALUE_OPERATIONS: dict[str, Callable[[Any, Any, Any], Any]] = {
+    "add": lambda a, b, mask: a + b,
+    "sub": lambda a, b, mask: a - b,
+    "mul": lambda a, b, mask: a * b,
+    "neg": lambda a, b, mask: -a,
+    "abs": lambda a, b, mask: absolute(a),
+    "floor": lambda a, b, mask: floor(a * 0.5),
+    "select": lambda a, b, mask: select(mask, a, b),
+    "minimum": lambda a, b, mask: minimum(a, b),
+    "maximum": lambda a, b, mask: maximum(a, b),
+    "clamp": lambda a, b, mask: clamp(a, -3.0, b),
+}
+MASK_OPERATIONS: tuple[Callable[[Any, Any, Any, Any], Any], ...] = (
+    lambda a, b, m, n: a < b,
+    lambda a, b, m, n: a >= b,
+    lambda a, b, m, n: equal(a, b),
+    lambda a, b, m, n: (m & n) | (b < a),
+    lambda a, b, m, n: logical_not(m) & True,
+)
 
 
 class RandomFunction:
     """A function of scalars made of random operations on small whole numbers, each of them exact in float32.
 
-    Values with a bound that grew too large are clamped, quarters are rounded: float32 and float64 then agree exactly,
-    however operations are fused. It draws the same operations whatever it is called with.
+    Values whose bound has grown too large are clamped: float32 and float64 then agree exactly, however operations are
+    fused. What would fold to a constant is not drawn, since constants cannot be compared.
     """
 
-    def __init__(self, seed: int, operations: int) -> None:
-        self.seed = seed
-        self.operations = operations
+    def __init__(self, seed: int, operations: int, inputs: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.steps: list[tuple[str, tuple[int, ...]]] = []
+        graph = Graph()
+        pool: list[Any] = [graph.input(f"x[{i}]") for i in range(inputs)]
+        bounds = [8.0] * inputs
+        masks: list[Any] = [pool[0] < pool[1]]
+        while len(self.steps) < operations:
+            kind = str(rng.choice([*VALUE_OPERATIONS, "mask"]))
+            a, b = (int(i) for i in rng.integers(max(0, len(pool) - 12), len(pool), size=2))
+            m, n = (int(i) for i in rng.integers(len(masks), size=2))
+            if kind == "mask":
+                which = int(rng.integers(len(MASK_OPERATIONS)))
+                masks.append(MASK_OPERATIONS[which](pool[a], pool[b], masks[m], masks[n]))
+                self.steps.append(("mask", (which, a, b, m, n)))
+                continue
+            value = VALUE_OPERATIONS[kind](pool[a], pool[b], masks[m])
+            bound = {"mul": bounds[a] * bounds[b]}.get(kind, bounds[a] + bounds[b] + 6.0)
+            if value.constant_value is not None:
+                continue
+            self.steps.append((kind, (a, b, m)))
+            if bound > 2.0**11:
+                value, bound = clamp(value, -5.0, 6.0), 6.0
+                self.steps.append(("bound", ()))
+            pool.append(value)
+            bounds.append(bound)
 
     def __call__(self, inputs: list[Any]) -> list[Any]:
-        rng = np.random.default_rng(self.seed)
-        pool: list[tuple[Any, float]] = [(value, 8.0) for value in inputs]
-        masks: list[Any] = [inputs[0] < inputs[1]]
-
-        def pick() -> tuple[Any, float]:
-            return pool[int(rng.integers(max(0, len(pool) - 12), len(pool)))]
-
-        for _ in range(self.operations):
-            (a, bound_a), (b, bound_b) = pick(), pick()
-            mask = masks[int(rng.integers(len(masks)))]
-            match str(
-                rng.choice(["add", "sub", "mul", "select", "low", "high", "abs", "floor", "neg", "mask", "clamp"])
-            ):
-                case "add":
-                    pool.append((a + b, bound_a + bound_b))
-                case "sub":
-                    pool.append((a - b, bound_a + bound_b))
-                case "mul":
-                    pool.append((a * b, bound_a * bound_b))
-                case "select":
-                    pool.append((select(mask, a, b), max(bound_a, bound_b)))
-                case "low":
-                    pool.append((minimum(a, b), max(bound_a, bound_b)))
-                case "high":
-                    pool.append((maximum(a, b), max(bound_a, bound_b)))
-                case "abs":
-                    pool.append((absolute(a), bound_a))
-                case "floor":
-                    pool.append((floor(a * 0.5), bound_a))
-                case "neg":
-                    pool.append((-a, bound_a))
-                case "clamp":
-                    pool.append((clamp(a, -3.0, b), max(3.0, bound_b)))
-                case _:
-                    other = masks[int(rng.integers(len(masks)))]
-                    kind = int(rng.integers(5))
-                    masks.append(
-                        [a < b, a <= b, equal(a, b), (mask & other) | (b < a), logical_not(mask)][kind]
-                    )  # fmt: skip
-            if pool[-1][1] > 2.0**11:
-                pool[-1] = (clamp(pool[-1][0], -5.0, 6.0), 6.0)
-            assert pool[-1][1] <= LARGEST
-        return [value for value, _ in pool[-8:]]
+        pool, masks = list(inputs), [inputs[0] < inputs[1]]
+        for kind, operands in self.steps:
+            if kind == "mask":
+                which, a, b, m, n = operands
+                masks.append(MASK_OPERATIONS[which](pool[a], pool[b], masks[m], masks[n]))
+            elif kind == "bound":
+                pool[-1] = clamp(pool[-1], -5.0, 6.0)
+            else:
+                a, b, m = operands
+                pool.append(VALUE_OPERATIONS[kind](pool[a], pool[b], masks[m]))
+        return pool[-8:]
 
 
 class GuardedFunction:
@@ -363,12 +372,14 @@ class GuardedFunction:
         self.seed = seed
 
     def __call__(self, x: list[Any]) -> list[Any]:
-        open_part = RandomFunction(self.seed, 20)(x)
-        shared = RandomFunction(self.seed + 1, 20)(x)
-        conditions = [x[0] < x[1], (x[2] < -4.0) & (x[3] < 0.0), x[4] < -100.0]
+        open_part = RandomFunction(self.seed, 20, len(x))(x)
+        shared = RandomFunction(self.seed + 1, 20, len(x))(x)
+        # Guards of one condition belong together, so the functions' conditions differ.
+        k = float(self.seed % 12) - 5.0
+        conditions = [x[0] < x[1] + k, (x[2] < k) & (x[3] < 0.0), x[4] < k - 100.0]
         results = list(open_part)
         for place, condition in enumerate(conditions):
-            own = RandomFunction(self.seed + 2 + place, 30)([*x[1:], shared[place]])
+            own = RandomFunction(self.seed + 2 + place, 30, len(x))([*x[1:], shared[place]])
             results += guarded(condition, [*own, own[0] * shared[3], own[1] * own[2] + open_part[place], 0.0, 7.0])
         # What is guarded feeds arithmetic, also together.
         return [*results, results[8] + results[-1], results[9] * results[10] - open_part[0]]
@@ -385,7 +396,7 @@ class Chorus:
 
 
 RANDOM_GRAPHS = Chorus(
-    *(RandomFunction(seed, 60) for seed in range(25)), *(GuardedFunction(seed) for seed in range(100, 112))
+    *(RandomFunction(seed, 60, INPUTS) for seed in range(25)), *(GuardedFunction(seed) for seed in range(100, 112))
 )
 
 

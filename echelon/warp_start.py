@@ -1,0 +1,32 @@
+"""Start Warp without its greeting, so that a command says only what its user asked about."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+
+_EXPECTED = b"Could not find or load the NVIDIA CUDA driver"
+"""What Warp's native library prints on every machine without a GPU, whatever its log level."""
+
+
+def start_warp() -> None:
+    """Initialise Warp; warnings and errors other than that there is no GPU are passed on."""
+    import warp
+
+    warp.config.log_level = warp.LOG_WARNING
+    try:
+        kept = os.dup(2)
+    except OSError:  # standard error is closed: nothing can be said, and nothing need be kept back
+        warp.init()
+        return
+    with tempfile.TemporaryFile() as said:
+        sys.stderr.flush()
+        os.dup2(said.fileno(), 2)
+        try:
+            warp.init()
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            said.seek(0)
+            os.write(2, b"".join(line for line in said if _EXPECTED not in line))
