@@ -1,7 +1,7 @@
 """The command: what it says, what it makes, and with which code it ends.
 
-The runs here are of a stand-in for the engine, so that what the command makes of every ending can be seen; that the
-command and the engine fit is tested where the simulation is.
+Most runs here are of a stand-in for the engine, so that what the command makes of every ending can be seen; the last
+two are real.
 """
 
 from __future__ import annotations
@@ -9,8 +9,10 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -533,3 +535,46 @@ def test_a_bar_on_a_terminal() -> None:
 )
 def test_figures(text: str, expected: str) -> None:
     assert text == expected
+
+
+# ---- with the engine -----------------------------------------------------------------------------------------------
+def test_a_real_run(here: Path, said: Said) -> None:
+    """The same seed gives the same state on one thread and on two, another seed another."""
+    reports = []
+    for options in (["--threads", "1"], ["--threads", "2", "--out", "herd.usdc"], ["--seed", "9"]):
+        assert cli.run(["simulate", "border-collie", "--agents", "5", "--seconds", "1.5", "--json", *options]) == 0
+        out, err = said()
+        assert err == ""
+        reports.append(json.loads(out))
+    assert all(set(report) >= REPORTED for report in reports)
+    assert reports[0]["state_hash"] == reports[1]["state_hash"] != reports[2]["state_hash"]
+    assert (reports[0]["frames"], reports[0]["falls"], reports[0]["nonfinite"]) == (46, 0, 0)
+    assert reports[1]["recording"] == "herd.recording"
+    assert (here / "herd.usdc").read_bytes().startswith(b"PXR-USDC")
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs a system with SIGKILL")
+def test_a_real_run_killed_and_resumed(here: Path, said: Said) -> None:
+    """What is resumed ends with the bytes of a run that was not interrupted."""
+    arguments = ["simulate", "herd", "--agents", "4", "--seconds", "300", "--quiet", "--recording"]
+    command = [sys.executable, "-c", "import sys; from echelon.cli import run; sys.exit(run(sys.argv[1:]))"]
+    process = subprocess.Popen([*command, *arguments, "cut"])
+    try:
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline and process.poll() is None:
+            if (here / "cut").exists() and Recording(here / "cut").frame_count:
+                break
+            time.sleep(0.01)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    left = Recording(here / "cut")
+    assert 0 < left.frame_count < 9001
+    assert left.status == "running"
+
+    assert cli.run(["resume", "cut", "--quiet"]) == 0
+    assert cli.run([*arguments, "whole"]) == 0
+    assert said() == ("", "")
+    files = sorted(path.relative_to(here / "whole") for path in (here / "whole").rglob("*") if path.is_file())
+    assert files == sorted(path.relative_to(here / "cut") for path in (here / "cut").rglob("*") if path.is_file())
+    assert all((here / "cut" / file).read_bytes() == (here / "whole" / file).read_bytes() for file in files)

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from echelon.flocking.commanded import command_constant, command_random
-from echelon.flocking.herding import BLOCK, HerdMind, HerdRules, enter_herd, make_up_mind, want
+from echelon.flocking.herding import BLOCK, HerdMind, HerdRules, Seen, enter_herd, make_up_mind, want
 from echelon.flocking.perception import pen_of
 from echelon.scenario import HerdSettings, WorldSettings
 from echelon.terrain.walls import wall_grid
@@ -36,9 +36,7 @@ class HerdArrays:
     Attributes:
         mind: What it knows and wants as a whole.
         table: Everybody's place, and the hash grid to find them by.
-        indices: Neighbours of each by (distance, index); what lies beyond those found is stale,
-            shape [agents, neighbours].
-        distances: Their distances [m], shape [agents, neighbours].
+        seen: The neighbours of each.
         sums: Sums of places and counts of members, shape [blocks].
         farthest: Place of the member farthest from the centroid, and its distance [m], shape [blocks].
         commanded: Desired velocity in the modes "constant" and "random" [m/s], shape [agents].
@@ -46,8 +44,7 @@ class HerdArrays:
 
     mind: HerdMind
     table: CellTable
-    indices: wp.array
-    distances: wp.array
+    seen: Seen
     sums: wp.array[wp.vec3]
     farthest: wp.array[wp.vec3]
     commanded: wp.array[wp.vec2]
@@ -126,7 +123,7 @@ class Herd:
             wp.launch(command_random, self.agent_count, inputs=inputs, outputs=[desired_out], device=device)
         else:
             inputs = [rules, self.pen, self._walls, velocities, fallen, self._user, a.table, a.mind]
-            outputs = [a.indices, a.distances, a.farthest, desired_out]
+            outputs = [a.seen, a.farthest, desired_out]
             wp.launch(want, self.agent_count, inputs=inputs, outputs=outputs, device=device)
 
     def enqueue_look(self, positions: wp.array[wp.vec3], fallen: wp.array[wp.int32]) -> None:
@@ -184,11 +181,15 @@ def _herd_arrays(settings: HerdSettings, agent_count: int, device: wp.DeviceLike
     mind.velocity = wp.zeros(1, dtype=wp.vec2, device=device)
     blocks = math.ceil(agent_count / BLOCK)
     rows = (agent_count, min(settings.neighbours, max(1, agent_count - 1)))
+    seen = Seen()
+    seen.indices = wp.zeros(rows, dtype=wp.int32, device=device)
+    seen.distances = wp.zeros(rows, dtype=wp.float32, device=device)
+    seen.towards = wp.zeros(rows, dtype=wp.vec2, device=device)
+    seen.fastest = wp.zeros(rows, dtype=wp.float32, device=device)
     return HerdArrays(
         mind=mind,
         table=cell_table(agent_count, CELL_PER_SPACING * settings.spacing, settings.visibility, device),
-        indices=wp.zeros(rows, dtype=wp.int32, device=device),
-        distances=wp.zeros(rows, dtype=wp.float32, device=device),
+        seen=seen,
         sums=wp.zeros(blocks, dtype=wp.vec3, device=device),
         farthest=wp.zeros(blocks, dtype=wp.vec3, device=device),
         commanded=wp.zeros(agent_count, dtype=wp.vec2, device=device),

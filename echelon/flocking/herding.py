@@ -100,6 +100,23 @@ class HerdMind:
     velocity: wp.array[wp.vec2]
 
 
+@wp.struct
+class Seen:
+    """The neighbours of each, sorted by (distance, index); what lies beyond those found is stale.
+
+    Attributes:
+        indices: Who they are, shape [agents, neighbours].
+        distances: How far away [m], shape [agents, neighbours].
+        towards: Unit vectors toward them, shape [agents, neighbours].
+        fastest: Greatest speed toward them [m/s], shape [agents, neighbours].
+    """
+
+    indices: wp.array2d[wp.int32]
+    distances: wp.array2d[wp.float32]
+    towards: wp.array2d[wp.vec2]
+    fastest: wp.array2d[wp.float32]
+
+
 # ---- see -------------------------------------------------------------------------------------------------------------
 @wp.func
 def on_ground(vector: wp.vec3) -> wp.vec2:
@@ -196,36 +213,52 @@ def make_up_mind(
 
 # ---- want ------------------------------------------------------------------------------------------------------------
 @wp.func
-def herding_velocity(
+def regard_neighbours(
     agent: int,
     found: int,
     velocities: wp.array[wp.vec3],
     fallen: wp.array[wp.int32],
-    indices: wp.array2d[wp.int32],
     rules: HerdRules,
     pen: Pen,
     table: CellTable,
+    seen: Seen,
 ) -> wp.vec2:
-    """v_herd: the mean of what each neighbour asks for, `spacing` between the two, weighted by 1 / distance."""
+    """v_herd: the mean of what each neighbour asks for, `spacing` between the two, weighted by 1 / distance.
+
+    The limits on the speed toward each go to `seen`: its own speed away, and what the room between the two bodies
+    allows. Of a neighbour that comes nearer half the speed is left to it to take away, or two who meet would both
+    turn back.
+    """
     place = table.places[agent]
     own = on_ground(velocities[agent])
+    keep = 2.0 * rules.radius + rules.clearance
     near_pen = pen.present == 1 and wp.length(place - pen.center) < rules.visibility + 2.0 * pen.half_size
     asked = wp.vec2(0.0, 0.0)
     weights = wp.float32(0.0)
     for k in range(found):
-        other = indices[agent, k]
-        leg = table.places[other] - place + rules.lookahead * (on_ground(velocities[other]) - own)
+        other = seen.indices[agent, k]
+        gap = table.places[other] - place
+        distance = wp.max(seen.distances[agent, k], 1.0e-6)
+        drift = rules.lookahead * (on_ground(velocities[other]) - own)
+
+        toward = gap / distance
+        leaving = wp.dot(on_ground(velocities[other]), toward)
+        room = distance + wp.dot(drift, toward) - keep
+        seen.towards[agent, k] = toward
+        seen.fastest[agent, k] = wp.where(leaving < 0.0, 0.5, 1.0) * leaving + rules.clearance_gain * room
+
+        leg = gap + drift
         leg_length = wp.max(wp.length(leg), 1.0e-3)
-        distance = leg_length
+        way_length = leg_length
         if near_pen:
             way = way_to(place, place + leg, rules.wall_distance, pen)
             leg = on_ground(way) - place
             leg_length = wp.max(wp.length(leg), 1.0e-3)
-            distance = wp.max(way[2], 1.0e-3)
-        if fallen[other] == 0 or distance < rules.spacing:
+            way_length = wp.max(way[2], 1.0e-3)
+        if fallen[other] == 0 or way_length < rules.spacing:
             # weight (distance - spacing) times the unit vector of the leg, weight = 1 / distance
-            asked += ((1.0 - rules.spacing / distance) / leg_length) * leg
-            weights += 1.0 / distance
+            asked += ((1.0 - rules.spacing / way_length) / leg_length) * leg
+            weights += 1.0 / way_length
     if weights == 0.0:
         return asked
     return shortened(asked * (rules.gain / weights), rules.max_speed)
@@ -263,34 +296,12 @@ def limit_approach_to_user(velocity: wp.vec2, place: wp.vec2, user: wp.vec4, rul
 
 
 @wp.func
-def limit_approach_to_neighbours(
-    velocity: wp.vec2,
-    agent: int,
-    found: int,
-    velocities: wp.array[wp.vec3],
-    indices: wp.array2d[wp.int32],
-    distances: wp.array2d[wp.float32],
-    rules: HerdRules,
-    table: CellTable,
-) -> wp.vec2:
-    """Limit the speed toward each neighbour to its own speed away, and what the room between the two bodies allows.
-
-    Of a neighbour that comes nearer half the speed is left to it to take away, or two who meet would both turn back.
-    """
-    place = table.places[agent]
-    own = on_ground(velocities[agent])
-    keep = 2.0 * rules.radius + rules.clearance
+def limit_approach_to_neighbours(velocity: wp.vec2, agent: int, found: int, seen: Seen) -> wp.vec2:
+    """Limit the speed toward each neighbour; the nearest last: where limits contradict, its is kept."""
     limited = velocity
     for rank in range(found):
-        k = found - 1 - rank  # the nearest last: where limits contradict, its is kept
-        distance = distances[agent, k]
-        if distance > 1.0e-6:
-            other = indices[agent, k]
-            toward = (table.places[other] - place) / distance
-            leaving = wp.dot(on_ground(velocities[other]), toward)
-            room = distance + rules.lookahead * (leaving - wp.dot(own, toward)) - keep
-            fastest = wp.where(leaving < 0.0, 0.5, 1.0) * leaving + rules.clearance_gain * room
-            limited = limit_approach(limited, toward, fastest)
+        k = found - 1 - rank
+        limited = limit_approach(limited, seen.towards[agent, k], seen.fastest[agent, k])
     return limited
 
 
@@ -312,10 +323,8 @@ def want(
     user_in: wp.array[wp.vec4],
     table: CellTable,
     mind: HerdMind,
-    # scratch
-    indices: wp.array2d[wp.int32],
-    distances: wp.array2d[wp.float32],
     # out
+    seen: Seen,
     farthest_out: wp.array[wp.vec3],
     desired_out: wp.array[wp.vec2],
 ):
@@ -335,15 +344,15 @@ def want(
         desired_out[agent] = wp.vec2(0.0, 0.0)
         return
     user = wp.vec2(user_in[0][0], user_in[0][1])
-    found = nearest_neighbours(agent, rules.visibility, table, indices, distances)
-    herding = herding_velocity(agent, found, velocities_in, fallen_in, indices, rules, pen, table)
+    found = nearest_neighbours(agent, rules.visibility, table, seen.indices, seen.distances)
+    herding = regard_neighbours(agent, found, velocities_in, fallen_in, rules, pen, table, seen)
     wanted = shortened(0.5 * (herding + shared_velocity(place, user, rules, pen, mind)), rules.max_speed)
 
     passes = wp.int32(0)
     while passes < LIMIT_PASSES:
         before = wanted
         wanted = limit_approach_to_user(wanted, place, user_in[0], rules)
-        wanted = limit_approach_to_neighbours(wanted, agent, found, velocities_in, indices, distances, rules, table)
+        wanted = limit_approach_to_neighbours(wanted, agent, found, seen)
         wanted = limit_approach_to_walls(wanted, place, rules.wall_gain, rules.wall_distance, walls)
         passes = wp.where(wanted == before, LIMIT_PASSES, passes + 1)
 

@@ -396,11 +396,11 @@ class Chorus:
 
 
 RANDOM_GRAPHS = Chorus(
-    *(RandomFunction(seed, 60, INPUTS) for seed in range(25)), *(GuardedFunction(seed) for seed in range(100, 112))
+    *(RandomFunction(seed, 60, INPUTS) for seed in range(14)), *(GuardedFunction(seed) for seed in range(100, 107))
 )
 
 
-@pytest.mark.parametrize("lanes", [1, 8, 16])
+@pytest.mark.parametrize("lanes", [1, 8])
 def test_random_graphs_compute_what_numpy_computes(lanes: int):
     inputs = np.random.default_rng(1).integers(-8, 9, size=(333, INPUTS)).astype(float)
     # Blocks in which nobody, everybody and somebody meets each condition.

@@ -1,0 +1,208 @@
+"""A run as the command carries it out: announced, watched, turned into a stage and a film, reported."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from echelon.progress import Progress, Reporter, duration, size
+
+if TYPE_CHECKING:
+    from echelon.recording import Recording
+    from echelon.scenario import Scenario
+
+RepresentationName = Literal["rig", "skel", "points"]
+
+
+class Failure(Exception):
+    """The run failed, in one line."""
+
+
+def check_products(out: Path | None, film: Path | None) -> None:
+    """Find out about a misspelt folder before the run, not after it."""
+    if out is not None:
+        from echelon.export.stage.layer_files import checked_stage_path
+
+        checked_stage_path(out)
+    if film is not None:
+        from echelon.export.picture_files import checked_path
+
+        checked_path(film, (".mp4",))
+
+
+def announce(reporter: Reporter, plan: Scenario, folder: Path) -> None:
+    """Say about how long the run will take and how much disk it will use, and whether something is replaced."""
+    from echelon.agents.bodies import load_body
+    from echelon.recording import check_place, estimate_bytes
+
+    replaces = check_place(folder)
+    links = len(load_body(plan.crowd.character).link_names)
+    frames, count = plan.step_count + 1, plan.crowd.count
+    actors = int(plan.collie is not None)
+    disk = estimate_bytes(frames, count, links, frame_rate=plan.frame_rate, actor_count=actors)
+    free = shutil.disk_usage(folder.absolute().parent).free
+    if disk > free:
+        raise Failure(f"{folder}: the recording needs about {size(disk)}, but only {size(free)} are free there")
+    if replaces:
+        reporter.say(f"replacing the recording {folder}")
+    most = "at most " if plan.until else ""
+    reporter.say(
+        f"{plan.name}: {count} {plan.crowd.character}s, {most}{plan.seconds:g} s at {plan.frame_rate} frames a second; "
+        f"takes {most}about {duration(_expected_seconds(plan))} and {size(disk)} of disk"
+    )
+
+
+def _expected_seconds(plan: Scenario) -> float:
+    """A rough guess of how long a run takes on one core [s]; the progress knows better once it has begun."""
+    per_substep = 3e-8 * (4.0 if plan.engine.integrator == "rk4" else 1.0)
+    return 1.0 + plan.step_count * (1e-4 + plan.crowd.count * plan.engine.substeps * per_substep)
+
+
+def run_and_report(
+    reporter: Reporter,
+    work: Callable[[Progress], Recording],
+    folder: Path,
+    plan: Scenario,
+    out: Path | None,
+    film: Path | None,
+    representation: RepresentationName,
+    as_json: bool,
+) -> None:
+    """Run, write what was asked for, report."""
+    clock = _LoopClock()
+    with only_json(as_json):
+        with _resumable(folder), reporter.progress(plan.name, "frames", plan.frame_rate) as progress:
+            recording = work(clock.watched(progress))
+        clock.stop()
+        if out is not None:
+            _write_stage(reporter, recording, out, representation)
+        unfilmed = _film_shot(reporter, recording, film) if film is not None else ""
+    made = {"recording": folder, "stage": out, "film": None if unfilmed else film}
+    report = _report(recording, clock, made)
+    if as_json:
+        print(json.dumps(report))
+    elif not reporter.quiet:
+        print(_report_text(report))
+    if unfilmed:
+        raise Failure(unfilmed)
+
+
+def _write_stage(reporter: Reporter, recording: Recording, out: Path, representation: RepresentationName) -> None:
+    from echelon.export.usd import write_stage
+
+    with reporter.progress(str(out), "parts") as progress:
+        write_stage(recording, out, representation, progress)
+
+
+def _film_shot(reporter: Reporter, recording: Recording, film: Path) -> str:
+    """Make the film of the scenario's shot; returns why it could not be made on this machine, or nothing."""
+    from echelon.export.pictures import render_film
+    from echelon.export.renderer import RenderingUnavailable
+
+    try:
+        with reporter.progress(str(film), "pictures") as progress:
+            render_film(recording, film, progress=progress, **shot_options(recording))
+    except RenderingUnavailable as error:
+        return f"{film}: no film was made: {error}"
+    return ""
+
+
+def shot_options(recording: Recording) -> dict[str, Any]:
+    """What `render_film` is to be told about the shot that the recording's scenario asks for."""
+    from echelon.scenario import Scenario
+
+    shot = Scenario.from_dict(recording.scenario, source=str(recording.path)).shot
+    first, last = shot.frames(recording.frame_count)
+    return {
+        "start": first / recording.frame_rate,
+        "seconds": (last - first + 1) / recording.frame_rate,
+        "fps": recording.frame_rate / shot.film_every,
+        "size": shot.size,
+        "camera": shot.camera,
+    }
+
+
+class _LoopClock:
+    """Times the frame loop apart from what comes before it: starting Warp, and compiling on the first run."""
+
+    def __init__(self) -> None:
+        self.begun = time.perf_counter()
+        self.first: float | None = None
+        self.frames_before = 0
+        self.ended = self.begun
+
+    def watched(self, progress: Progress) -> Progress:
+        """The callback, which also starts the clock when it is called first."""
+
+        def callback(done: int, total: int) -> None:
+            if self.first is None:
+                self.first, self.frames_before = time.perf_counter(), done
+            progress(done, total)
+
+        return callback
+
+    def stop(self) -> None:
+        self.ended = time.perf_counter()
+
+    @property
+    def startup_seconds(self) -> float:
+        return (self.first or self.begun) - self.begun
+
+    @property
+    def wall_seconds(self) -> float:
+        return self.ended - (self.first or self.begun)
+
+
+def _report(recording: Recording, clock: _LoopClock, made: dict[str, Path | None]) -> dict[str, Any]:
+    """What a run reports; the times are of this run of the command, all else is in the recording."""
+    summary = recording.summary
+    simulated = (recording.frame_count - clock.frames_before) / recording.frame_rate
+    report = {
+        "scenario": recording.scenario["name"],
+        "agents": recording.agent_count,
+        "seed": recording.scenario["seed"],
+        **summary,
+        "wall_seconds": round(clock.wall_seconds, 4),
+        "startup_seconds": round(clock.startup_seconds, 4),
+        "real_time_factor": round(simulated / max(clock.wall_seconds, 1e-9), 2),
+    }
+    return report | {name: None if path is None else str(path) for name, path in made.items()}
+
+
+def _report_text(report: dict[str, Any]) -> str:
+    took = f"{duration(report['wall_seconds'])}, {report['real_time_factor']:.3g} x real time"
+    lines = [f"{report['scenario']}: {report['agents']} agents, {report['seconds']:g} s simulated in {took}"]
+    hidden = ("scenario", "agents", "seconds", "wall_seconds", "startup_seconds", "real_time_factor")
+    shown = {key: value for key, value in report.items() if key not in hidden and value is not None}
+    width = max(len(key) for key in shown)
+    return "\n".join(lines + [f"  {key.replace('_', ' '):<{width}}  {value}" for key, value in shown.items()])
+
+
+@contextmanager
+def only_json(as_json: bool) -> Iterator[None]:
+    """Keep whatever libraries print off standard output, which is the JSON object's."""
+    if as_json:
+        with redirect_stdout(sys.stderr):
+            yield
+    else:
+        yield
+
+
+@contextmanager
+def _resumable(folder: Path) -> Iterator[None]:
+    """Turn what ends a run before its time into a line that says how to go on."""
+    from echelon.recording import RecordingFailed, is_recording
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        hint = f"; go on with: echelon resume {folder}" if is_recording(folder) else ""
+        raise Failure(f"interrupted{hint}") from None
+    except RecordingFailed as error:
+        raise Failure(str(error)) from None
