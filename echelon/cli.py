@@ -32,7 +32,6 @@ _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's, or th
 
 _Function = TypeVar("_Function", bound=Callable[..., None])
 
-
 app = typer.Typer(
     name="echelon",
     add_completion=False,

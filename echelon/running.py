@@ -11,6 +11,7 @@ from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from echelon.errors import InputError
 from echelon.progress import Progress, Reporter, duration, size
 
 if TYPE_CHECKING:
@@ -197,12 +198,16 @@ def only_json(as_json: bool) -> Iterator[None]:
 @contextmanager
 def _resumable(folder: Path) -> Iterator[None]:
     """Turn what ends a run before its time into a line that says how to go on."""
-    from echelon.recording import RecordingFailed, is_recording
+    from echelon.recording import Recording, RecordingFailed
 
     try:
         yield
     except KeyboardInterrupt:
-        hint = f"; go on with: echelon resume {folder}" if is_recording(folder) else ""
+        try:
+            resumable = Recording(folder).status == "running"
+        except InputError:  # nothing was recorded yet
+            resumable = False
+        hint = f"; go on with: echelon resume {folder}" if resumable else ""
         raise Failure(f"interrupted{hint}") from None
     except RecordingFailed as error:
         raise Failure(str(error)) from None

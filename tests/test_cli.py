@@ -279,8 +279,10 @@ def test_interrupted_before_anything_was_recorded(engine: ModuleType, here: Path
     def stopped(*arguments: Any, **options: Any) -> Recording:
         raise KeyboardInterrupt
 
+    assert cli.run(["simulate", "herd", "--seconds", "0.5", "--quiet"]) == 0  # an older one, finished, is still there
     engine.simulate = stopped  # type: ignore[attr-defined]
-    assert refused(said, 1, "simulate", "herd") == "echelon: interrupted"
+    for place in ("herd.recording", "another"):
+        assert refused(said, 1, "simulate", "herd", "--recording", place) == "echelon: interrupted"
 
 
 @pytest.mark.parametrize(

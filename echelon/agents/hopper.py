@@ -222,6 +222,8 @@ class Hopper:
         "fall": NO_EVENT,
         # latched until control has seen it
         "touched": 0.0,
+        # 1 from the first loss of load in thrust until the next landing, so that a hop has one liftoff
+        "away": 1.0,
         # ticks in this phase, and of this stance; seconds of the last one
         "in_phase": 0.0,
         "stance": 0.0,
@@ -315,6 +317,7 @@ class Hopper:
         memory["stance_time"] = select(leaving, measured, memory["stance_time"])
         memory["stance"] = select(leaving, 0.0, stance)
         memory["touched"] = select(leaving | landing, 0.0, memory["touched"])
+        memory["away"] = select(landing, 0.0, memory["away"])
         memory["phase"] = following
 
     def _take_up(self, view: View, leaving: Any) -> None:
@@ -441,10 +444,12 @@ class Hopper:
         limp = 0.5 < memory["fallen"]
         aloft = equal(memory["phase"], FLIGHT)
         first_touch = bears & aloft & (memory["touched"] < 0.5) & logical_not(limp)
-        last_touch = was_loaded & logical_not(bears) & equal(memory["phase"], UNLOADING) & logical_not(limp)
+        pushing_off = equal(memory["phase"], THRUST) | equal(memory["phase"], UNLOADING)
+        last_touch = was_loaded & logical_not(bears) & pushing_off & (memory["away"] < 0.5) & logical_not(limp)
         memory["touchdown"] = select(first_touch, view.substep, memory["touchdown"])
         memory["liftoff"] = select(last_touch, view.substep, memory["liftoff"])
         memory["touched"] = select(first_touch, 1.0, memory["touched"])
+        memory["away"] = select(last_touch, 1.0, memory["away"])
         memory["loaded"] = select(bears, 1.0, 0.0)
         down = (rotation[2][2] < FALLEN_COSINE) | (0.0 < view.contacts[BELLY].normal_force)
         memory["fall"] = select(down & logical_not(limp), view.substep, memory["fall"])

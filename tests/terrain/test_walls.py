@@ -1,5 +1,9 @@
 """Fences as segments: the nearest wall against plain geometry, and the set pieces as plain data."""
 
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
+# pyright: reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# Kernels: Warp compiles and checks them, and its types mean other things to it than to Python.
+
 from __future__ import annotations
 
 import json

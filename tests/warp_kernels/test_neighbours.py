@@ -1,5 +1,9 @@
 """The hash grid against a k-d tree, and what it promises besides: order, determinism, linear cost."""
 
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
+# pyright: reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# Kernels: Warp compiles and checks them, and its types mean other things to it than to Python.
+
 from __future__ import annotations
 
 import math
