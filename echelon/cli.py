@@ -21,7 +21,6 @@ import typer
 from echelon.errors import InputError
 from echelon.progress import Progress, Reporter, size
 from echelon.running import Failure, announce, check_products, only_json, run_and_report, shot_options
-from echelon.warp_start import start_warp
 
 if TYPE_CHECKING:
     from echelon.recording import Recording
@@ -193,7 +192,6 @@ def simulate(
     def work(progress: Progress) -> Recording:
         from echelon.simulation import simulate
 
-        start_warp()
         return simulate(plan, recording=folder, threads=threads, progress=progress)
 
     run_and_report(reporter, work, folder, plan, out, film, representation.value, as_json)
@@ -227,7 +225,6 @@ def resume(
     def work(progress: Progress) -> Recording:
         from echelon.simulation import resume
 
-        start_warp()
         return resume(recording, threads=threads, progress=progress)
 
     run_and_report(reporter, work, recording, plan, out, film, representation.value, as_json)
@@ -377,7 +374,6 @@ def bench(
 
     reporter = Reporter(quiet or as_json)
     with only_json(as_json), reporter.progress(f"bench {study}", "measurements") as progress:
-        start_warp()
         rows = run_engine_benchmark(progress=progress)
     if as_json:
         print(json.dumps(rows))

@@ -32,6 +32,7 @@ from echelon.terrain.flat import FlatTerrain
 from echelon.terrain.walls import world_dict
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.frame import ChunkArrays, Engine
+from echelon.warp_kernels.start import start_warp
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames at most)."""
@@ -59,7 +60,7 @@ class Simulation:
             threads: On a CPU; 0 decides by the work there is; None leaves it to the scenario.
             device: A Warp device, "cpu" or "cuda:0".
         """
-        wp.config.quiet = True
+        start_warp()
         crowd, settings = scenario.crowd, scenario.engine
         self.scenario = scenario
         self.character = _character(crowd.character)

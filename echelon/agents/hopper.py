@@ -78,7 +78,7 @@ FULL_LOAD = 120.0  # load on the foot at which hip torque is given in full [N]
 RETRACTION = 0.06  # the leg is this much shorter while it swings [m]
 EFFICIENCY = 0.80  # part of the spring's energy that reaches the next apex
 THRUST_LIMIT = 0.12  # [m]
-LIMP_DAMPING = 4.0  # hip of a fallen robot [N m s/rad]
+LIMP_DAMPING, LIMP_TWIST_DAMPING = 4.0, 0.1  # hip of a fallen robot [N m s/rad]
 FALLEN_COSINE = 0.5  # of the tilt at which a robot counts as fallen: 60 degrees
 USUAL_STANCE = 0.17  # [s], until the first stance has been timed
 SHORTEST_STANCE, LONGEST_STANCE = 0.10, 0.30  # a measured stance is held between these [s]
@@ -242,6 +242,13 @@ class Hopper:
         "hip_x": 0.0,
         "hip_y": 0.0,
         "leg": 0.0,
+        # what the hip does in this phase
+        "hip_stiffness": 0.0,
+        "hip_damping": 0.0,
+        "twist_stiffness": 0.0,
+        "twist_damping": 0.0,
+        "grip": 0.0,
+        "yaw_moment": 0.0,
     }
     parameters: Mapping[str, float] = {"leg_stiffness": LEG_STIFFNESS, "hop_height": HOP_HEIGHT}
 
@@ -319,6 +326,22 @@ class Hopper:
         memory["touched"] = select(leaving | landing, 0.0, memory["touched"])
         memory["away"] = select(landing, 0.0, memory["away"])
         memory["phase"] = following
+        self._set_gains(view)
+
+    def _set_gains(self, view: View) -> None:
+        """What the hip does in the phase that has begun: swing, push against tilt, or hang limp."""
+        memory = view.memory
+        phase, limp = memory["phase"], 0.5 < memory["fallen"]
+        swinging = equal(phase, FLIGHT)
+        memory["hip_stiffness"] = select(swinging, SWING_STIFFNESS, 0.0)
+        memory["hip_damping"] = select(limp, LIMP_DAMPING, select(swinging, SWING_DAMPING, 0.0))
+        memory["twist_stiffness"] = select(swinging, TWIST_STIFFNESS, 0.0)
+        memory["twist_damping"] = select(limp, LIMP_TWIST_DAMPING, select(swinging, TWIST_DAMPING, 0.0))
+        memory["grip"] = select(equal(phase, COMPRESSION) | equal(phase, THRUST), 1.0, 0.0)
+        rotation, _ = view.kin.world(view.kin.tree.node_of_link[0])
+        sine, cosine = _heading_error(memory["heading"], rotation)
+        turn = select(cosine < 0.0, select(sine < 0.0, -1.0, 1.0), sine)
+        memory["yaw_moment"] = clamp(YAW_STIFFNESS * turn - YAW_DAMPING * view.u[5], -YAW_LIMIT, YAW_LIMIT)
 
     def _take_up(self, view: View, leaving: Any) -> None:
         """At liftoff, and only then: a new desired velocity, a new heading, and the trim of the last hop's error."""
@@ -397,34 +420,25 @@ class Hopper:
         """Leg spring, hip servo in flight, attitude torque in stance; latch touchdown, liftoff and fall."""
         memory, h = view.memory, view.implicit_step
         q, u = view.q, view.u
-        phase = memory["phase"]
         load = view.contacts[FOOT].normal_force
         rotation, _ = view.kin.world(view.kin.tree.node_of_link[0])
         self._latch(view, load, rotation)
-        limp = 0.5 < memory["fallen"]
 
         joints.servo(LEG_SPEED, q[LEG], u[LEG_SPEED], memory["leg"], 0.0, view.parameters["leg_stiffness"], LEG_DAMPING, h)
 
-        swinging = equal(phase, FLIGHT)
-        kp, kv = select(swinging, SWING_STIFFNESS, 0.0), select(swinging, SWING_DAMPING, 0.0)
-        twist_kp, twist_kv = select(swinging, TWIST_STIFFNESS, 0.0), select(swinging, TWIST_DAMPING, 0.0)
-        kp, kv = select(limp, 0.0, kp), select(limp, LIMP_DAMPING, kv)
-        twist_kp, twist_kv = select(limp, 0.0, twist_kp), select(limp, 0.1, twist_kv)
+        kp, kv = memory["hip_stiffness"], memory["hip_damping"]
         joints.servo(HIP_SPEED, q[HIP], u[HIP_SPEED], memory["hip_x"], 0.0, kp, kv, h)
         joints.servo(HIP_SPEED + 1, q[HIP + 1], u[HIP_SPEED + 1], memory["hip_y"], 0.0, kp, kv, h)
-        joints.servo(HIP_SPEED + 2, q[HIP + 2], u[HIP_SPEED + 2], 0.0, 0.0, twist_kp, twist_kv, h)
+        kp, kv = memory["twist_stiffness"], memory["twist_damping"]
+        joints.servo(HIP_SPEED + 2, q[HIP + 2], u[HIP_SPEED + 2], 0.0, 0.0, kp, kv, h)
 
         # Attitude, only while the foot bears weight, since the foot would slip otherwise.
-        pushing = equal(phase, COMPRESSION) | equal(phase, THRUST)
-        share = select(pushing, clamp(load / FULL_LOAD, 0.0, 1.0), 0.0)
-        share = select(limp, 0.0, share)
+        share = memory["grip"] * minimum(load * (1.0 / FULL_LOAD), 1.0)
         omega = list(u[3:6])
         # Turning the body by z_body x z_world would bring it upright; both in the body's axes.
         moment_x = share * (-TILT_STIFFNESS * rotation[2][1] - TILT_DAMPING * omega[0])
         moment_y = share * (TILT_STIFFNESS * rotation[2][0] - TILT_DAMPING * omega[1])
-        sine, cosine = _heading_error(memory["heading"], rotation)
-        turn = select(cosine < 0.0, select(sine < 0.0, -1.0, 1.0), sine)
-        moment_z = share * clamp(YAW_STIFFNESS * turn - YAW_DAMPING * omega[2], -YAW_LIMIT, YAW_LIMIT)
+        moment_z = share * memory["yaw_moment"]
         # The leg is pushed the other way; a hip torque is the moment's component along its axis.
         moment = [-moment_x, -moment_y, -moment_z]
         third = view.kin.tree.node_of_link[1]  # the hip is three one-axis nodes, the last of which is the leg

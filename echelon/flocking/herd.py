@@ -48,6 +48,8 @@ class HerdArrays:
     sums: wp.array[wp.vec3]
     farthest: wp.array[wp.vec3]
     commanded: wp.array[wp.vec2]
+    intended: wp.array[wp.vec2]
+    known: wp.array[wp.vec2]
 
 
 class Herd:
@@ -122,15 +124,15 @@ class Herd:
             inputs = [frame, self._period, self._seed, self._settings.change, self._settings.max_speed, a.commanded]
             wp.launch(command_random, self.agent_count, inputs=inputs, outputs=[desired_out], device=device)
         else:
-            inputs = [rules, self.pen, self._walls, velocities, fallen, self._user, a.table, a.mind]
-            outputs = [a.seen, a.farthest, desired_out]
+            inputs = [rules, self.pen, self._walls, velocities, a.known, fallen, self._user, a.table, a.mind]
+            outputs = [a.seen, a.farthest, a.intended, desired_out]
             wp.launch(want, self.agent_count, inputs=inputs, outputs=outputs, device=device)
 
     def enqueue_look(self, positions: wp.array[wp.vec3], fallen: wp.array[wp.int32]) -> None:
         """Launch only the first part of a frame: everybody's place, and the hash grid; arguments as for `enqueue`."""
         a = self.arrays
         wp.launch(clear_cells, a.table.heads.shape[0], outputs=[a.table], device=self._device)
-        wp.launch(enter_herd, self.agent_count, [positions, fallen], [a.table, a.sums], device=self._device)
+        wp.launch(enter_herd, self.agent_count, [positions, fallen, a.intended], [a.table, a.known, a.sums], device=self._device)
 
     def state(self) -> dict[str, np.ndarray]:
         """What the next frame depends on besides its arguments; copies."""
@@ -193,4 +195,6 @@ def _herd_arrays(settings: HerdSettings, agent_count: int, device: wp.DeviceLike
         sums=wp.zeros(blocks, dtype=wp.vec3, device=device),
         farthest=wp.zeros(blocks, dtype=wp.vec3, device=device),
         commanded=wp.zeros(agent_count, dtype=wp.vec2, device=device),
+        intended=wp.zeros(agent_count, dtype=wp.vec2, device=device),
+        known=wp.zeros(agent_count, dtype=wp.vec2, device=device),
     )

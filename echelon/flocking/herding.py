@@ -135,12 +135,15 @@ def enter_herd(
     # state in
     positions_in: wp.array[wp.vec3],
     fallen_in: wp.array[wp.int32],
+    intended_in: wp.array[wp.vec2],
     # out
     table: CellTable,
+    known_out: wp.array[wp.vec2],
     sums_out: wp.array[wp.vec3],
 ):
     """Enter every agent into the hash grid; the first of each block adds up the block's places and members."""
     agent = wp.tid()
+    known_out[agent] = intended_in[agent]
     enter_agent(agent, on_ground(positions_in[agent]), table)
     if agent % BLOCK == 0:
         total = wp.vec3(0.0, 0.0, 0.0)
@@ -217,6 +220,7 @@ def regard_neighbours(
     agent: int,
     found: int,
     velocities: wp.array[wp.vec3],
+    known: wp.array[wp.vec2],
     fallen: wp.array[wp.int32],
     rules: HerdRules,
     pen: Pen,
@@ -242,7 +246,7 @@ def regard_neighbours(
         drift = rules.lookahead * (on_ground(velocities[other]) - own)
 
         toward = gap / distance
-        leaving = wp.dot(on_ground(velocities[other]), toward)
+        leaving = wp.dot(known[other], toward)
         room = distance + wp.dot(drift, toward) - keep
         seen.towards[agent, k] = toward
         seen.fastest[agent, k] = wp.where(leaving < 0.0, 0.5, 1.0) * leaving + rules.clearance_gain * room
@@ -319,6 +323,7 @@ def want(
     walls: WallGrid,
     # state in
     velocities_in: wp.array[wp.vec3],
+    known_in: wp.array[wp.vec2],
     fallen_in: wp.array[wp.int32],
     user_in: wp.array[wp.vec4],
     table: CellTable,
@@ -326,6 +331,7 @@ def want(
     # out
     seen: Seen,
     farthest_out: wp.array[wp.vec3],
+    intended_out: wp.array[wp.vec2],
     desired_out: wp.array[wp.vec2],
 ):
     """Look round and decide on a desired velocity; the first of each block finds who is farthest from the centroid."""
@@ -342,10 +348,11 @@ def want(
     place = table.places[agent]
     if not is_member(agent, place, fallen_in):
         desired_out[agent] = wp.vec2(0.0, 0.0)
+        intended_out[agent] = wp.vec2(0.0, 0.0)
         return
     user = wp.vec2(user_in[0][0], user_in[0][1])
     found = nearest_neighbours(agent, rules.visibility, table, seen.indices, seen.distances)
-    herding = regard_neighbours(agent, found, velocities_in, fallen_in, rules, pen, table, seen)
+    herding = regard_neighbours(agent, found, velocities_in, known_in, fallen_in, rules, pen, table, seen)
     wanted = shortened(0.5 * (herding + shared_velocity(place, user, rules, pen, mind)), rules.max_speed)
 
     passes = wp.int32(0)
@@ -357,4 +364,6 @@ def want(
         passes = wp.where(wanted == before, LIMIT_PASSES, passes + 1)
 
     own = on_ground(velocities_in[agent])
-    desired_out[agent] = shortened(own + shortened(wanted - own, rules.max_change), rules.max_speed)
+    wanted = shortened(own + shortened(wanted - own, rules.max_change), rules.max_speed)
+    desired_out[agent] = wanted
+    intended_out[agent] = wanted

@@ -27,6 +27,7 @@ import warp as wp
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.emit import Target, cpu_compiler_flags, host_lanes
 from echelon.warp_kernels.program import PLANE_SIZE, POSE_SIZE, Integrator, Program
+from echelon.warp_kernels.start import start_warp
 
 SURFACES = {"ground": 0, "wall": 1}
 
@@ -127,6 +128,7 @@ class Engine:
         threads: int = 0,
         device: str = "cpu",
     ) -> None:
+        start_warp()
         cuda = device.startswith("cuda")
         lanes = 1 if cuda else lanes or host_lanes()
         if substeps % tick:

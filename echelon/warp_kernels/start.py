@@ -1,30 +1,37 @@
-"""Start Warp without its greeting, so that a command says only what its user asked about."""
+"""Start Warp without its greeting, so that Echelon says only what its user asked about."""
 
 from __future__ import annotations
 
 import os
 import sys
 import tempfile
+from functools import lru_cache
+
+import warp as wp
 
 _EXPECTED = b"Could not find or load the NVIDIA CUDA driver"
 """What Warp's native library prints on every machine without a GPU, whatever its log level."""
 
 
+@lru_cache(maxsize=1)
 def start_warp() -> None:
-    """Initialise Warp; warnings and errors other than that there is no GPU are passed on."""
-    import warp
+    """Initialise Warp; warnings and errors other than that there is no GPU are passed on.
 
-    warp.config.log_level = warp.LOG_WARNING
+    A program that wants to hear what Warp loads sets ``warp.config.log_level`` afterwards.
+    """
+    if wp.config.log_level == wp.LOG_INFO:
+        wp.config.log_level = wp.LOG_WARNING
     try:
         kept = os.dup(2)
     except OSError:  # standard error is closed: nothing can be said, and nothing need be kept back
-        warp.init()
+        wp.init()
         return
     with tempfile.TemporaryFile() as said:
-        sys.stderr.flush()
+        if sys.stderr is not None:
+            sys.stderr.flush()
         os.dup2(said.fileno(), 2)
         try:
-            warp.init()
+            wp.init()
         finally:
             os.dup2(kept, 2)
             os.close(kept)
