@@ -23,9 +23,9 @@ import pytest
 
 from echelon import cli
 from echelon.agents.bodies import load_body
+from echelon.cli.progress import Reporter, duration, size, speed_text
 from echelon.errors import InputError
 from echelon.export.renderer import RenderingUnavailable
-from echelon.progress import Reporter, duration, size, speed_text
 from echelon.recording import Cast, Recording, RecordingFailed, RecordingWriter
 from echelon.scenario import Scenario
 
@@ -492,7 +492,7 @@ def test_a_bar_on_a_terminal() -> None:
     """On a terminal there is a bar while the work goes on, and nothing afterwards."""
     pty = pytest.importorskip("pty")
     code = (
-        "import time\nfrom echelon.progress import Reporter\n"
+        "import time\nfrom echelon.cli.progress import Reporter\n"
         "with Reporter(False).progress('herd', 'frames', 30) as progress:\n"
         "    time.sleep(0.4)\n"
         "    for done in range(0, 101, 10):\n        progress(done, 100)\n        time.sleep(0.05)\n"

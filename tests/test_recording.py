@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from echelon import recording_layout
+from echelon.recording import layout as recording_layout
 from echelon.errors import InputError
 from echelon.recording import (
     EVENT_DTYPE,

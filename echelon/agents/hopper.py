@@ -290,22 +290,22 @@ class Hopper:
         phase = memory["phase"]
         leg, leg_rate = view.q[LEG], view.u[LEG_SPEED]
         compression = memory["leg"] - leg
-        touched = 0.5 < memory["touched"]
-        loaded = 0.5 < memory["loaded"]
+        touched = memory["touched"] > 0.5
+        loaded = memory["loaded"] > 0.5
 
         in_flight, in_loading = equal(phase, FLIGHT), equal(phase, LOADING)
         in_compression, in_thrust = equal(phase, COMPRESSION), equal(phase, THRUST)
         in_unloading = equal(phase, UNLOADING)
-        fallen = 0.5 < memory["fallen"]
+        fallen = memory["fallen"] > 0.5
 
         landing = in_flight & touched
         leaving = in_unloading & logical_not(loaded)
         following = phase
         following = select(landing, float(LOADING), following)
-        following = select(in_loading & (0.012 < compression), float(COMPRESSION), following)
+        following = select(in_loading & (compression > 0.012), float(COMPRESSION), following)
         # A bounce that never loads the leg goes straight back to flight.
         following = select(in_loading & logical_not(loaded) & (0.03 / view.tick < memory["in_phase"]), float(FLIGHT), following)
-        deepest = in_compression & (0.0 < leg_rate)
+        deepest = in_compression & (leg_rate > 0.0)
         following = select(deepest, float(THRUST), following)
         following = select(in_thrust & (compression < 0.012), float(UNLOADING), following)
         following = select(in_thrust & logical_not(loaded), float(UNLOADING), following)
@@ -331,7 +331,7 @@ class Hopper:
     def _set_gains(self, view: View) -> None:
         """What the hip does in the phase that has begun: swing, push against tilt, or hang limp."""
         memory = view.memory
-        phase, limp = memory["phase"], 0.5 < memory["fallen"]
+        phase, limp = memory["phase"], memory["fallen"] > 0.5
         swinging = equal(phase, FLIGHT)
         memory["hip_stiffness"] = select(swinging, SWING_STIFFNESS, 0.0)
         memory["hip_damping"] = select(limp, LIMP_DAMPING, select(swinging, SWING_DAMPING, 0.0))
@@ -371,7 +371,7 @@ class Hopper:
         heading = memory["heading"] + clamp(turn, -TURN_LIMIT, TURN_LIMIT)
         heading = select(math.pi < heading, heading - 2.0 * math.pi, heading)
         heading = select(heading < -math.pi, heading + 2.0 * math.pi, heading)
-        turning = leaving & (TURN_SPEED * TURN_SPEED < x * x + y * y)
+        turning = leaving & (x * x + y * y > TURN_SPEED * TURN_SPEED)
         memory["heading"] = select(turning, heading, memory["heading"])
 
     def _thrust(self, view: View, deepest: Any, leg: Any) -> None:
@@ -453,9 +453,9 @@ class Hopper:
     def _latch(self, view: View, load: Any, rotation: Any) -> None:
         """Notice what happens between ticks."""
         memory = view.memory
-        bears = 0.0 < load
-        was_loaded = 0.5 < memory["loaded"]
-        limp = 0.5 < memory["fallen"]
+        bears = load > 0.0
+        was_loaded = memory["loaded"] > 0.5
+        limp = memory["fallen"] > 0.5
         aloft = equal(memory["phase"], FLIGHT)
         first_touch = bears & aloft & (memory["touched"] < 0.5) & logical_not(limp)
         pushing_off = equal(memory["phase"], THRUST) | equal(memory["phase"], UNLOADING)
@@ -465,7 +465,7 @@ class Hopper:
         memory["touched"] = select(first_touch, 1.0, memory["touched"])
         memory["away"] = select(last_touch, 1.0, memory["away"])
         memory["loaded"] = select(bears, 1.0, 0.0)
-        down = (rotation[2][2] < FALLEN_COSINE) | (0.0 < view.contacts[BELLY].normal_force)
+        down = (rotation[2][2] < FALLEN_COSINE) | (view.contacts[BELLY].normal_force > 0.0)
         memory["fall"] = select(down & logical_not(limp), view.substep, memory["fall"])
         memory["fallen"] = select(down, 1.0, memory["fallen"])
 

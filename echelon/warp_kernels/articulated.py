@@ -311,7 +311,7 @@ class _Elimination:
 def _bias(kin: Kinematics, tree: Tree, place: int) -> ArticulatedInertia | None:
     """A node's own inertia and bias force, None where it has no mass."""
     link = tree.nodes[place].link
-    if link is None or tree.inertias[link].mass == 0.0 and not np.any(tree.inertias[link].inertia):
+    if link is None or (tree.inertias[link].mass == 0.0 and not np.any(tree.inertias[link].inertia)):
         return None
     body, omega = tree.inertias[link], kin.omega[place]
     return ArticulatedInertia(

@@ -258,7 +258,7 @@ def _friction(
             for i in range(3)
         ]
     # Sliding drags the anchor: spring and damper together give just the limit.
-    touching = 0.0 < N
+    touching = N > 0.0
     new: Vector = []
     for i in range(3):
         dragged = (-force[i] - c * v_t[i]) * (1.0 / k)
@@ -282,7 +282,7 @@ def _spin_friction(
     sticking = select(limit < trial, 0.0, select(trial < -limit, 0.0, 1.0))
     B = sticking * (step * (c + step * k)) if not is_zero(step) else 0.0
     dragged = (-moment - c * rate) * (1.0 / k)
-    new = select(0.0 < N, select(sticking < 0.5, dragged, twist), 0.0)
+    new = select(N > 0.0, select(sticking < 0.5, dragged, twist), 0.0)
     return moment, (B, new)
 
 
@@ -407,7 +407,7 @@ class JointForces:
                 beyond = q[at_q] - clamp(q[at_q], limit[0], limit[1])
                 push = -k * (beyond + step * u[at_u]) - c * u[at_u]
                 outside = (q[at_q] < limit[0]) | (limit[1] < q[at_q])
-                active = ((0.0 < beyond) & (push < 0.0)) | ((beyond < 0.0) & (0.0 < push))
+                active = ((beyond > 0.0) & (push < 0.0)) | ((beyond < 0.0) & (push > 0.0))
                 found.append((at_u, outside, select(active, push, 0.0), select(active, step * (c + step * k), 0.0)))
         if not found:
             return

@@ -8,8 +8,8 @@ import shutil
 from pathlib import Path
 
 from echelon.errors import InputError
-from echelon.recording_layout import MANIFEST, event_array
-from echelon.recording_manifest import FORMAT, VERSION, Manifest, is_recording, manifest_frame_arrays, manifest_text
+from echelon.recording.layout import MANIFEST, event_array
+from echelon.recording.manifest import FORMAT, VERSION, Manifest, is_recording, manifest_frame_arrays, manifest_text
 
 try:
     import fcntl

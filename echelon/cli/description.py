@@ -6,11 +6,11 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from echelon.cli.progress import duration, size
 from echelon.errors import InputError
-from echelon.progress import duration, size
 from echelon.recording import Recording
 from echelon.scenario import CHARACTERS, Scenario
-from echelon.scenario_files import scenario_names
+from echelon.scenario.files import scenario_names
 from echelon.settings import shown, suggestion
 from echelon.warp_kernels.model import Model
 

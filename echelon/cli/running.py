@@ -11,8 +11,8 @@ from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from echelon.cli.progress import Progress, Reporter, duration, size
 from echelon.errors import InputError
-from echelon.progress import Progress, Reporter, duration, size
 
 if TYPE_CHECKING:
     from echelon.recording import Recording

@@ -1,10 +1,4 @@
-"""What happened in a run: poses, velocities, phases, events, streamed to disk and read back lazily.
-
-`Recording` reads; `RecordingWriter` writes; `recording_layout` says how it lies on disk.
-
-Frame k is at time k / frame_rate; frame 0 is the start pose. Arrays have one row a frame. A pose is seven numbers,
-x y z in metres and a quaternion qx qy qz qw, of a link's frame in the world.
-"""
+"""A recording that is read back: lazily, a chunk at a time."""
 
 from __future__ import annotations
 
@@ -15,46 +9,23 @@ from typing import Any
 import numpy as np
 
 from echelon.errors import InputError
-from echelon.recording_layout import (
+from echelon.recording.layout import (
     EVENT_DTYPE,
     ArrayLayout,
-    estimate_bytes,
     event_array,
     read_chunk,
     state_array,
     unpack_state,
 )
-from echelon.recording_manifest import (
-    EVENT_NAMES,
-    PHASE_NAMES,
+from echelon.recording.manifest import (
     Actor,
     Cast,
     Manifest,
-    RecordingFailed,
     check_chunks,
-    is_recording,
     manifest_frame_arrays,
     read_manifest,
 )
-from echelon.recording_place import check_place
-from echelon.recording_writer import RecordingWriter
 from echelon.warp_kernels.model import Model
-
-__all__ = [
-    "EVENT_DTYPE",
-    "EVENT_NAMES",
-    "PHASE_NAMES",
-    "Actor",
-    "Cast",
-    "LazyFrames",
-    "LazyPoses",
-    "Recording",
-    "RecordingFailed",
-    "RecordingWriter",
-    "check_place",
-    "estimate_bytes",
-    "is_recording",
-]
 
 
 class LazyFrames:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from echelon.errors import InputError
-from echelon.recording_layout import (
+from echelon.recording.layout import (
     CHECKSUM_BYTES,
     MANIFEST,
     ArrayLayout,

@@ -19,9 +19,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from echelon.errors import InputError
-from echelon.scenario_files import copied, one_line, override, parse, scenario_path
+from echelon.scenario.files import copied, one_line, override, parse, scenario_path
+from echelon.scenario.starting_places import hexagonal_places, jitter, overlapping_pair
 from echelon.settings import SettingError, Within, adopt, plain, read, shown, suggestion, to_toml
-from echelon.starting_places import hexagonal_places, jitter, overlapping_pair
 
 Point = tuple[float, float]
 
@@ -106,7 +106,7 @@ class HerdSettings:
     wall_distance: Annotated[float, Within("m", at_least=0, at_most=1e3)] = 1.0
     wall_gain: Annotated[float, Within("1/s", at_least=0, at_most=100)] = 1.0
     radius: Annotated[float, Within("m", at_least=0.01, at_most=10)] = 0.35
-    clearance: Annotated[float, Within("m", at_least=0, at_most=100)] = 1.0
+    clearance: Annotated[float, Within("m", at_least=0, at_most=100)] = 0.8
     clearance_gain: Annotated[float, Within("1/s", at_least=0, at_most=100)] = 1.0
     lookahead: Annotated[float, Within("s", at_least=0, at_most=10)] = 0.3
 

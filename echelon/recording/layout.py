@@ -3,7 +3,7 @@
 ::
 
     herd.recording/            a zarr v3 group, readable by any zarr
-      recording.json           the manifest (`recording_manifest`): what is in it, and how much of it counts
+      recording.json           the manifest (`manifest`): what is in it, and how much of it counts
       zarr.json
       link_poses/              one zarr array for each name in ``frame_arrays``, chunked along frames
         zarr.json

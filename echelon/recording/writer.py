@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from echelon.errors import InputError
-from echelon.recording_layout import (
+from echelon.recording.layout import (
     EVENT_DTYPE,
     MANIFEST,
     ArrayLayout,
@@ -45,7 +45,7 @@ from echelon.recording_layout import (
     state_parts,
     unpack_state,
 )
-from echelon.recording_manifest import (
+from echelon.recording.manifest import (
     EVENT_NAMES,
     FORMAT,
     PHASE_NAMES,
@@ -61,7 +61,7 @@ from echelon.recording_manifest import (
     manifest_text,
     read_manifest,
 )
-from echelon.recording_place import lock, make_folder
+from echelon.recording.place import lock, make_folder
 
 
 class RecordingWriter:

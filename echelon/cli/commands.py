@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from echelon.cli.progress import Progress, Reporter, size
+from echelon.cli.running import Failure, announce, check_products, only_json, run_and_report, shot_options
 from echelon.errors import InputError
-from echelon.progress import Progress, Reporter, size
-from echelon.running import Failure, announce, check_products, only_json, run_and_report, shot_options
 
 if TYPE_CHECKING:
     from echelon.recording import Recording
@@ -384,7 +384,7 @@ def bench(
 @_command("list", "  echelon list\n  echelon list --json")
 def list_(as_json: Json = False) -> None:
     """List what ships: scenarios, bodies, characters."""
-    from echelon.description import shipped
+    from echelon.cli.description import shipped
 
     found = shipped()
     if as_json:
@@ -409,7 +409,7 @@ def describe(
 
     A scenario is printed as the whole of its file, defaults included: a good beginning for one of your own.
     """
-    from echelon.description import describe as described
+    from echelon.cli.description import describe as described
 
     data, text = described(what)
     print(json.dumps(data) if as_json else text)
