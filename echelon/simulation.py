@@ -69,7 +69,7 @@ class Simulation:
             crowd.count,
             FlatTerrain.of(scenario.world, device),
             frame_rate=scenario.frame_rate,
-            substeps=settings.substeps,
+            substeps=settings.substeps_at(scenario.frame_rate),
             tick=settings.tick,
             integrator=settings.integrator,
             lanes=settings.lanes,

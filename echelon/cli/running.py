@@ -62,7 +62,7 @@ def announce(reporter: Reporter, plan: Scenario, folder: Path) -> None:
 def _expected_seconds(plan: Scenario) -> float:
     """A rough guess of how long a run takes on one core [s]; the progress knows better once it has begun."""
     per_substep = 3e-8 * (4.0 if plan.engine.integrator == "rk4" else 1.0)
-    return 1.0 + plan.step_count * (1e-4 + plan.crowd.count * plan.engine.substeps * per_substep)
+    return 1.0 + plan.step_count * (1e-4 + plan.crowd.count * plan.engine.substeps_at(plan.frame_rate) * per_substep)
 
 
 def run_and_report(

@@ -174,7 +174,8 @@ def drive_as_dog(
     forward = direction(bicycle.heading[0])
     speed = wp.min(speed, wp.max(limits.max_speed * (1.0 - wp.abs(angle_from(forward, leg - place))), CORNER_SPEED))
     mine = in_pen_axes(place, pen)
-    if pen.present == 1 and wp.abs(mine[1]) < pen.half_size + 2.0 and wp.dot(forward, pen.facing) < 0.0:
+    waiting = dog.flank[0] == 0 and wp.dot(forward, pen.facing) < 0.0
+    if pen.present == 1 and waiting and wp.abs(mine[1]) < pen.half_size + FENCE_ROOM:
         room = wp.max(mine[0] - pen.half_size - WAIT_DISTANCE, 0.0)
         speed = wp.min(speed, wp.sqrt(2.0 * limits.max_acceleration * room))
     command_out[0] = wp.vec2(wp.clamp(speed, 0.0, limits.max_speed), steering_toward(leg, bicycle, limits))

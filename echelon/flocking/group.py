@@ -81,7 +81,7 @@ class Group:
             fallen: 1 for those who have fallen, shape [agents]; None where nobody has.
         """
         down = self._nobody_fell if fallen is None else fallen
-        self._set_frame(frame)
+        self.set_frame(frame)
         arrays = (positions, velocities, down, desired_out)
         key = tuple(array.ptr for array in arrays)
         if key not in self._graphs:
@@ -97,7 +97,7 @@ class Group:
         fallen: wp.array[wp.int32],
         desired_out: wp.array[wp.vec2],
     ) -> None:
-        """Launch what `step` replays, for a capture of one's own; arguments as there."""
+        """Launch what `step` replays, after `set_frame`, for a capture of one's own; arguments as there."""
         self.herd.enqueue(self._frame, positions, velocities, fallen, desired_out)
         self.referee.enqueue(self._frame, self.herd.arrays.table)
         if self.collie is not None:
@@ -105,7 +105,7 @@ class Group:
 
     def look(self, frame: int, positions: wp.array[wp.vec3], fallen: wp.array[wp.int32] | None = None) -> None:
         """Let the referee count a frame after which there is no other; arguments as for `step`."""
-        self._set_frame(frame)
+        self.set_frame(frame)
         self.herd.enqueue_look(positions, self._nobody_fell if fallen is None else fallen)
         self.referee.enqueue(self._frame, self.herd.arrays.table)
 
@@ -127,7 +127,8 @@ class Group:
             parts["collie"] = self.collie
         return parts
 
-    def _set_frame(self, frame: int) -> None:
+    def set_frame(self, frame: int) -> None:
+        """Say which frame `enqueue` is about."""
         if self._device.is_cpu:
             self._frame.numpy()[0] = frame
         else:

@@ -132,7 +132,13 @@ class Herd:
         """Launch only the first part of a frame: everybody's place, and the hash grid; arguments as for `enqueue`."""
         a = self.arrays
         wp.launch(clear_cells, a.table.heads.shape[0], outputs=[a.table], device=self._device)
-        wp.launch(enter_herd, self.agent_count, [positions, fallen, a.intended], [a.table, a.known, a.sums], device=self._device)
+        wp.launch(
+            enter_herd,
+            self.agent_count,
+            [positions, fallen, a.intended],
+            [a.table, a.known, a.sums],
+            device=self._device,
+        )
 
     def state(self) -> dict[str, np.ndarray]:
         """What the next frame depends on besides its arguments; copies."""
@@ -142,6 +148,7 @@ class Herd:
             "goal": mind.goal.numpy().copy(),
             "goal_count": mind.goal_count.numpy().copy(),
             "commanded": self.arrays.commanded.numpy().copy(),
+            "intended": self.arrays.intended.numpy().copy(),
         }
 
     def load_state(self, state: Mapping[str, np.ndarray]) -> None:
@@ -151,6 +158,7 @@ class Herd:
         mind.goal.assign(state["goal"])
         mind.goal_count.assign(state["goal_count"])
         self.arrays.commanded.assign(state["commanded"])
+        self.arrays.intended.assign(state["intended"])
 
 
 def herd_radius(settings: HerdSettings, agent_count: int) -> float:

@@ -26,7 +26,7 @@ wp.set_module_options({"enable_backward": False})
 PARTNER_LIMIT = 4
 """Of how many collisions that one begins in one frame the partners are named; all are counted."""
 
-NEVER = -1  # the frame before the first
+NEVER = wp.constant(-(2**31))  # the number of a frame that is none; a run-up before frame 0 has negative numbers
 
 TOTALS = ("inside", "penned_frames", "gates", "collisions")
 INSIDE = wp.constant(0)  # how many are in the corral

