@@ -52,6 +52,10 @@ class Stride:
         return 1.0 / (FRAME_RATE * self.substeps)
 
 
+STRIDE = Stride(substeps=40, tick=5)
+"""The engine's usual one: 1/1200 s, a control tick every 1/240 s."""
+
+
 class Run(Protocol):
     """A run that is timed in rounds.
 
@@ -84,10 +88,10 @@ def character_of(body_name: str) -> Character:
     return ServoedBody(replace(body, contacts=(), springs=()), SERVO_STIFFNESS, SERVO_DAMPING)
 
 
-def start_run(character: Character, agents: int, stride: Stride, integrator: Integrator, lanes: int = 0) -> Run:
+def start_run(character: Character, agents: int, stride: Stride, integrator: Integrator) -> Run:
     """The run in which a character is timed."""
     chosen = FlightRun if isinstance(character, ServoedBody) else HoppingRun
-    return chosen(character, agents, stride, integrator, lanes)
+    return chosen(character, agents, stride, integrator)
 
 
 def bound_engine(
@@ -102,7 +106,6 @@ def bound_engine(
         substeps=stride.substeps,
         tick=stride.tick,
         integrator=integrator,
-        lanes=lanes,
         threads=1,
     )
     chunk = ChunkArrays.allocate(ROUND_FRAMES, agents, character, "cpu")
@@ -120,8 +123,8 @@ def _timed_round(engine: Engine) -> float:
 class HoppingRun:
     """Hoppers at 0, 1 and 2 m/s, in all directions; every round goes on from the last and counts for the verdict."""
 
-    def __init__(self, character: Character, agents: int, stride: Stride, integrator: Integrator, lanes: int = 0) -> None:
-        self.engine, self._chunk = bound_engine(character, agents, stride, integrator, lanes)
+    def __init__(self, character: Character, agents: int, stride: Stride, integrator: Integrator) -> None:
+        self.engine, self._chunk = bound_engine(character, agents, stride, integrator)
         engine = self.engine
         q = np.tile(character.body.q_reference, (agents, 1))
         q[:, 2] += 0.1
@@ -155,8 +158,8 @@ class HoppingRun:
 class FlightRun:
     """A servoed body in free flight; every round starts from the same tumbling, twisted states."""
 
-    def __init__(self, character: ServoedBody, agents: int, stride: Stride, integrator: Integrator, lanes: int = 0) -> None:
-        self.engine, self._chunk = bound_engine(character, agents, stride, integrator, lanes)
+    def __init__(self, character: ServoedBody, agents: int, stride: Stride, integrator: Integrator) -> None:
+        self.engine, self._chunk = bound_engine(character, agents, stride, integrator)
         self._stiffness = max(character.stiffness)
         q, u = flight_states(character.body, agents)
         self.engine.set_q(q)

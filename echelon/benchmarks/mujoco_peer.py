@@ -81,6 +81,8 @@ def peer_model(
     spec.option.gravity = [0.0, 0.0, -model.gravity]
     spec.option.timestep = step
     spec.option.integrator = INTEGRATORS[integrator]
+    # A state that blows up must be seen, not quietly put back to the start.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if energy:
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     if floor:

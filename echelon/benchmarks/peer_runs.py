@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Protocol
 
 import mujoco
@@ -52,6 +54,17 @@ class PeerRun(Protocol):
         ...
 
 
+@contextmanager
+def _without_log() -> Iterator[None]:
+    """MuJoCo writes a file into the current folder when a simulation blows up; here that is looked for and reported."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
 def start_peer(character: Character, step: float, integrator: str) -> PeerRun:
     """The run in which MuJoCo is timed on a character's body."""
     if isinstance(character, ServoedBody):
@@ -95,6 +108,10 @@ class StandingPeer:
         return seconds / (STANDING_STARTS * steps) * 1e6
 
     def verdict(self) -> Verdict:
+        with _without_log():
+            return self._judged()
+
+    def _judged(self) -> Verdict:
         dropped = self._watched(hopper.HOP_HEIGHT, DROP_TIME)
         return self._watched(0.0, STANDING_TIME) if dropped.sane else Verdict(False, f"dropped: {dropped.why}")
 
@@ -141,6 +158,10 @@ class FlightPeer:
         return seconds / (FLIGHT_STARTS * steps) * 1e6
 
     def verdict(self) -> Verdict:
+        with _without_log():
+            return self._judged()
+
+    def _judged(self) -> Verdict:
         steps = max(round(FLIGHT_TIME / (FLIGHT_SAMPLES * self.step)), 1)
         samples = [[(q.copy(), u.copy())] for q, u in zip(*self._starts, strict=True)]
         for (q, u), seen in zip(zip(*self._starts, strict=True), samples, strict=True):

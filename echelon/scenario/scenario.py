@@ -55,7 +55,7 @@ class CrowdSettings:
     start_spacing: Annotated[float, Within("m", above=0, at_most=1e3)] = 2.5
     start_jitter: Annotated[float, Within("m", at_least=0, at_most=1e3)] = 0.3
     positions: Annotated[tuple[Point, ...], Within("m", at_least=-1e5, at_most=1e5)] = ()
-    variation: Annotated[float, Within(at_least=0, at_most=0.2)] = 0.03
+    variation: Annotated[float, Within(at_least=0, at_most=0.2)] = 0.06
     in_phase: bool = False
 
     def __post_init__(self) -> None:

@@ -1,0 +1,202 @@
+"""What `echelon bench engine` found, for people: a table on the terminal, CSV files, a page of the documentation.
+
+    python -m echelon.benchmarks.engine_report docs/benchmarks MACHINE
+
+measures this machine into ``docs/benchmarks/MACHINE/engine.csv`` and writes ``docs/benchmarks/engine.md`` anew from
+the files of all machines; without MACHINE it only does the latter.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+Row = dict[str, Any]
+
+
+def _number(key: str, digits: int, scale: float = 1.0) -> Callable[[Row], str]:
+    """A column of numbers; three digits where more would be noise, a dash where there is none."""
+
+    def text(row: Row) -> str:
+        value = row.get(key)
+        return "–" if value is None else f"{scale * value:,.{digits}f}"
+
+    return text
+
+
+def _plain(key: str) -> Callable[[Row], str]:
+    return lambda row: "–" if row.get(key) is None else str(row[key])
+
+
+COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
+    ("body", _plain("body")),
+    ("steps", _plain("measure")),
+    ("integrator", _plain("integrator")),
+    ("contacts", _plain("contacts")),
+    ("step [ms]", _number("step_seconds", 3, 1e3)),
+    ("substep [µs]", _number("substep_us", 4)),
+    ("agents' s per s", _number("real_time_factor", 0)),
+    ("MuJoCo's", _plain("peer_integrator")),
+    ("contacts", _plain("peer_contacts")),
+    ("step [ms]", _number("peer_step_seconds", 3, 1e3)),
+    ("step takes [µs]", _number("peer_step_us", 2)),
+    ("s per s", _number("peer_real_time_factor", 0)),
+    ("ratio a step", _number("ratio", 1)),
+    ("ratio a second", lambda row: _ratio_of_seconds(row)),
+    ("compile [s]", _number("compile_seconds", 1)),
+    ("from cache [s]", _number("load_seconds", 2)),
+)
+"""Headings with units, and what stands below them."""
+
+
+def _ratio_of_seconds(row: Row) -> str:
+    ours, theirs = row.get("real_time_factor"), row.get("peer_real_time_factor")
+    return "–" if ours is None or theirs is None else f"{ours / theirs:,.1f}"
+
+
+def what_was_measured(rows: Sequence[Row]) -> str:
+    """One line: on which machine, how much of it, with which versions."""
+    if not rows:
+        return "Nothing was measured."
+    row = rows[0]
+    peer = f", {row['peer']} ({row['peer_precision']})" if row.get("peer") else ""
+    return (
+        f"One agent's substep (one core, {row['agents']} agents at once in {row['lanes']} lanes of {row['precision']}, "
+        f"recording included) on {row['machine']}; {row['versions']}{peer}."
+    )
+
+
+def remarks(rows: Sequence[Row]) -> list[str]:
+    """A line for every rate that is not given, and one if there was nobody to compare with."""
+    lines = []
+    for row in rows:
+        here = f"{row['body']} ({row['measure']}, {row['integrator']})"
+        if not row["sane"]:
+            lines.append(f"{here}: no rate, since {row['why']}.")
+        if row.get("peer_sane") is False:
+            lines.append(f"{here}: no rate of MuJoCo's, since {row['peer_why']}.")
+    absent = sorted({row["peer_why"] for row in rows if row.get("peer") is None})
+    return [*lines, *(f"{why}." for why in absent)]
+
+
+def print_table(rows: Sequence[Row], console: Console | None = None) -> None:
+    """Print what `run_engine_benchmark` returned: a table, what was measured, and why a rate is missing."""
+    console = console or Console()
+    table = Table(title="Echelon's engine and MuJoCo, one core")
+    for place, (heading, _) in enumerate(COLUMNS):
+        table.add_column(heading, justify="left" if place < 3 or heading == "MuJoCo's" else "right")
+    for row in rows:
+        table.add_row(*(text(row) for _, text in COLUMNS))
+    console.print(table)
+    for line in (what_was_measured(rows), *remarks(rows)):
+        console.print(line, markup=False, highlight=False)
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------
+def write_csv(rows: Sequence[Row], path: Path) -> None:
+    """Write rows, one line each under a line of keys; empty where there is no value."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.new")
+    with open(beside, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]) if rows else [], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({key: _rounded(value) for key, value in row.items()} for row in rows)
+    os.replace(beside, path)
+
+
+def _rounded(value: Any) -> Any:
+    return f"{value:.6g}" if isinstance(value, float) else value
+
+
+def read_csv(path: Path) -> list[Row]:
+    """Rows that `write_csv` wrote."""
+    with open(path, newline="", encoding="utf-8") as file:
+        return [{key: _value(text) for key, text in row.items()} for row in csv.DictReader(file)]
+
+
+def _value(text: str) -> Any:
+    if text in ("", "True", "False"):
+        return {"": None, "True": True, "False": False}[text]
+    try:
+        return float(text) if any(mark in text for mark in ".en") else int(text)
+    except ValueError:
+        return text
+
+
+def page(folder: Path) -> str:
+    """The documentation's page, in Markdown, from every machine's ``engine.csv`` in a folder."""
+    parts = [PAGE]
+    for path in sorted(folder.glob("*/engine.csv")):
+        rows = read_csv(path)
+        parts.append(f"## {path.parent.name}\n\n{what_was_measured(rows)}\n")
+        lines = [" | ".join(heading for heading, _ in COLUMNS), " | ".join("---" for _ in COLUMNS)]
+        lines += [" | ".join(text(row) for _, text in COLUMNS) for row in rows]
+        parts.append("\n".join(f"| {line} |" for line in lines) + "\n")
+        notes = [f"* {row['body']}, {row['measure']}, {row['integrator']}: {row['why']}; MuJoCo: {row['peer_why']}." for row in rows]
+        parts.append("\n".join(notes) + "\n")
+    return "\n".join(parts)
+
+
+def write_page(folder: Path) -> Path:
+    """Write ``engine.md`` in a folder from the machines' files there; returns its path."""
+    path = folder / "engine.md"
+    beside = path.with_name(f".{path.name}.new")
+    beside.write_text(page(folder), encoding="utf-8")
+    os.replace(beside, path)
+    return path
+
+
+PAGE = """\
+# The engine's speed
+
+`echelon bench engine` races Echelon's engine against [MuJoCo](https://mujoco.org) on the same bodies, in the same run,
+on one core. The two take turns second by second, and what stands here are medians.
+
+* **hopper**: our whole substep (control, contact, dynamics, integration) while robots hop at 0, 1 and 2 m/s in all
+  directions. MuJoCo's step is of the same body, set down on its foot again and again so that it is in contact, with
+  leg spring and hip springs, but without control, joint limits or walls.
+* **male**, **female**: servos and dynamics in free flight, 53 degrees of freedom. MuJoCo has a spring and damper of the
+  same gains at every joint; its constraints are switched off.
+
+Both count one agent's step. Ours computes in float32, many agents at once in the lanes of a vector register; MuJoCo
+computes one agent in float64. MuJoCo uses whichever of its Euler, implicitfast and discrete integrators is the fastest.
+
+A rate per step rewards small steps. *Largest sane step* therefore gives each engine the largest step of a short ladder
+up to which it stayed sane, and "agents' s per s" is how many seconds of one agent's life a second of computing gives.
+
+**Sane** means for both that everything is finite and every quaternion of unit length. In flight, angular momentum
+drifts by at most 2 % a second and the energy about the centre of mass does not rise by more than 1 %. Our hoppers must
+all stand and hold their mean velocity within 0.15 m/s, over 20 s (10 s on the ladder). MuJoCo's hopper, which has no
+control, must not fall and its energy must not rise, set down and dropped from a hop's height; its step is no longer
+than the 1/240 s in which control must be able to act. A run that is not sane has no rate.
+
+*Compile* is from a character to a kernel that can be launched, with an empty kernel cache but after Warp's own start-up
+and precompiled header; *from cache* is the same in the next process.
+
+Made by `python -m echelon.benchmarks.engine_report docs/benchmarks MACHINE`, which also writes a machine's CSV file.
+"""
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Measure and write (see the module's text)."""
+    from echelon.benchmarks.engine import run_engine_benchmark
+
+    if len(arguments) not in (1, 2):
+        raise SystemExit("usage: python -m echelon.benchmarks.engine_report FOLDER [MACHINE]")
+    folder = Path(arguments[0])
+    if len(arguments) == 2:
+        rows = run_engine_benchmark(progress=lambda done, total: print(f"{done} of {total}", file=sys.stderr))
+        print_table(rows)
+        write_csv(rows, folder / arguments[1] / "engine.csv")
+    print(write_page(folder))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
