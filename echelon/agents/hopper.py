@@ -224,6 +224,8 @@ class Hopper:
         "touched": 0.0,
         # 1 from the first loss of load in thrust until the next landing, so that a hop has one liftoff
         "away": 1.0,
+        "watch_touchdown": 0.0,
+        "watch_liftoff": 0.0,
         # ticks in this phase, and of this stance; seconds of the last one
         "in_phase": 0.0,
         "stance": 0.0,
@@ -326,10 +328,10 @@ class Hopper:
         memory["touched"] = select(leaving | landing, 0.0, memory["touched"])
         memory["away"] = select(landing, 0.0, memory["away"])
         memory["phase"] = following
-        self._set_gains(view)
+        self._begin_phase(view)
 
-    def _set_gains(self, view: View) -> None:
-        """What the hip does in the phase that has begun: swing, push against tilt, or hang limp."""
+    def _begin_phase(self, view: View) -> None:
+        """What the hip does in this phase: swing, push against tilt, or hang limp; and what to watch for."""
         memory = view.memory
         phase, limp = memory["phase"], memory["fallen"] > 0.5
         swinging = equal(phase, FLIGHT)
@@ -338,6 +340,11 @@ class Hopper:
         memory["twist_stiffness"] = select(swinging, TWIST_STIFFNESS, 0.0)
         memory["twist_damping"] = select(limp, LIMP_TWIST_DAMPING, select(swinging, TWIST_DAMPING, 0.0))
         memory["grip"] = select(equal(phase, COMPRESSION) | equal(phase, THRUST), 1.0, 0.0)
+        # What to latch until the next tick.
+        waiting = swinging & (memory["touched"] < 0.5)
+        memory["watch_touchdown"] = select(waiting, 1.0, 0.0)
+        pushing_off = (equal(phase, THRUST) | equal(phase, UNLOADING)) & (memory["away"] < 0.5)
+        memory["watch_liftoff"] = select(pushing_off, 1.0, 0.0)
         rotation, _ = view.kin.world(view.kin.tree.node_of_link[0])
         sine, cosine = _heading_error(memory["heading"], rotation)
         turn = select(cosine < 0.0, select(sine < 0.0, -1.0, 1.0), sine)
@@ -451,22 +458,21 @@ class Hopper:
         probe("hopper.load", load)
 
     def _latch(self, view: View, load: Any, rotation: Any) -> None:
-        """Notice what happens between ticks."""
+        """Notice what happens between ticks; control says what to watch for."""
         memory = view.memory
-        bears = load > 0.0
-        was_loaded = memory["loaded"] > 0.5
-        limp = memory["fallen"] > 0.5
-        aloft = equal(memory["phase"], FLIGHT)
-        first_touch = bears & aloft & (memory["touched"] < 0.5) & logical_not(limp)
-        pushing_off = equal(memory["phase"], THRUST) | equal(memory["phase"], UNLOADING)
-        last_touch = was_loaded & logical_not(bears) & pushing_off & (memory["away"] < 0.5) & logical_not(limp)
-        memory["touchdown"] = select(first_touch, view.substep, memory["touchdown"])
-        memory["liftoff"] = select(last_touch, view.substep, memory["liftoff"])
-        memory["touched"] = select(first_touch, 1.0, memory["touched"])
-        memory["away"] = select(last_touch, 1.0, memory["away"])
+        bears = 0.0 < load
+        touch = bears & (0.5 < memory["watch_touchdown"])
+        lift = logical_not(bears) & (0.5 < memory["watch_liftoff"])
+        memory["touchdown"] = select(touch, view.substep, memory["touchdown"])
+        memory["liftoff"] = select(lift, view.substep, memory["liftoff"])
+        memory["watch_touchdown"] = select(touch, 0.0, memory["watch_touchdown"])
+        memory["watch_liftoff"] = select(lift, 0.0, memory["watch_liftoff"])
+        memory["touched"] = select(touch, 1.0, memory["touched"])
+        memory["away"] = select(lift, 1.0, memory["away"])
         memory["loaded"] = select(bears, 1.0, 0.0)
-        down = (rotation[2][2] < FALLEN_COSINE) | (view.contacts[BELLY].normal_force > 0.0)
-        memory["fall"] = select(down & logical_not(limp), view.substep, memory["fall"])
+        down = (rotation[2][2] < FALLEN_COSINE) | (0.0 < view.contacts[BELLY].normal_force)
+        newly = down & (memory["fallen"] < 0.5)
+        memory["fall"] = select(newly, view.substep, memory["fall"])
         memory["fallen"] = select(down, 1.0, memory["fallen"])
 
 

@@ -17,6 +17,7 @@ d) that terrain hands in. The contact point is the site's deepest.
 * **Normal**: N = k depth - c v_n, active from the moment of penetration until the force would pull: never adhesive.
   Since the implicit term acts on an acceleration that is not known yet, it is let in only as far as the load allows:
   its size is at most N / `PEEL_ACCELERATION`, so a surface torn away at up to that acceleration is never held back.
+  The damper is let in no farther than that either: what is left of it would act explicitly, and shake a light toe.
 * **Tangential**: a spring and damper from the *anchor*, the place where the foot last stuck. What is stored is the
   strain, the displacement from the anchor [m], as a vector in the world: it needs no rebasing when the origin floats.
   Its rate is the velocity of the material point that touches, so the same law serves a foot and a rolling wheel.
@@ -160,8 +161,14 @@ def _touch(
 
     # Normal: spring and damper at the end of the step, never pulling.
     k, c = site.stiffness, site.damping
-    N = select(touching, maximum(-k * height - (c + step * k) * v_n, 0.0), 0.0)
-    B_n = 0.0 if is_zero(step) else minimum(step * (c + step * k), N * (1.0 / PEEL_ACCELERATION))
+    B_n: Any = 0.0
+    if is_zero(step):
+        N = select(touching, maximum(-k * height - c * v_n, 0.0), 0.0)
+    else:
+        spring = maximum(-k * height, 0.0)
+        damper = minimum(c + step * k, spring * (1.0 / (PEEL_ACCELERATION * step)))
+        N = maximum(spring - damper * v_n, 0.0)
+        B_n = minimum(step * damper, N * (1.0 / PEEL_ACCELERATION))
 
     force, B, new_strain = _friction(rotation, normal, n, v_t, N, site, strain, step, advance)
     force = apply_transposed(rotation, add(force, scale(N, n)))

@@ -168,7 +168,10 @@ class Engine:
         )
         self._slices = self._divide(threads)
         self._pool = ThreadPoolExecutor(len(self._slices) - 1) if len(self._slices) > 1 else None
-        self._launches: list[Any] = []
+        self._graphs: list[Any] = []
+        # Slot of the chunk and number of ticks of the next frame: read by the kernel, so that launches never change.
+        self._clock = wp.zeros(2, dtype=wp.int32, device=device)
+        self._clock_on_host = None if cuda else self._clock.numpy()
         self._chunk: ChunkArrays | None = None
         self.reset()
 
@@ -285,23 +288,24 @@ class Engine:
         return [(a, b - a) for a, b in zip(bounds, bounds[1:], strict=False)]
 
     def bind(self, chunk: ChunkArrays) -> None:
-        """Choose the chunk that frames are observed into, and record the launches."""
+        """Choose the chunk that frames are observed into, and capture the launches, which makes them cheap to repeat."""
         self._chunk = chunk
-        self._launches = [
-            wp.launch(
-                self._kernel,
-                dim=count,
-                inputs=[first, self.agent_count, self.substeps // self.tick, self.tick, 0, self.terrain.data]
-                + [self._surfaces, self._event_places, self.parameters, self.command],
-                outputs=[self.state, self.origins, self._command_lanes, self._backup, self._planes, self._seen]
-                + [self.positions, self.velocities, self.fallen, chunk.poses, chunk.origins, chunk.velocities]
-                + [chunk.desired, chunk.phases, chunk.contacts, chunk.fallen, chunk.frozen, chunk.events],
-                device=self.device,
-                record_cmd=True,
-                block_dim=64,
-            )
-            for first, count in self._slices
-        ]
+        wp.load_module(self._kernel.module, device=self.device)
+        self._graphs = []
+        for first, count in self._slices:
+            with wp.ScopedCapture(device=self.device) as capture:
+                wp.launch(
+                    self._kernel,
+                    dim=count,
+                    inputs=[first, self.agent_count, self.tick, self._clock, self.terrain.data]
+                    + [self._surfaces, self._event_places, self.parameters, self.command],
+                    outputs=[self.state, self.origins, self._command_lanes, self._backup, self._planes, self._seen]
+                    + [self.positions, self.velocities, self.fallen, chunk.poses, chunk.origins, chunk.velocities]
+                    + [chunk.desired, chunk.phases, chunk.contacts, chunk.fallen, chunk.frozen, chunk.events],
+                    device=self.device,
+                    block_dim=64,
+                )
+            self._graphs.append(capture.graph)
 
     def advance(self, slot: int, *, observe_only: bool = False) -> None:
         """Carry everybody through one frame and leave what is seen in a slot of the bound chunk.
@@ -311,15 +315,16 @@ class Engine:
             observe_only: Do not move; only observe (the first frame of a run).
         """
         ticks = 0 if observe_only else self.substeps // self.tick
-        for launch in self._launches:
-            launch.set_param_at_index(2, ticks)
-            launch.set_param_at_index(4, slot)
+        if self._clock_on_host is not None:
+            self._clock_on_host[:] = (slot, ticks)
+        else:
+            self._clock.assign(np.array([slot, ticks], dtype=np.int32))
         if self._pool is None:
-            for launch in self._launches:
-                launch.launch()
+            for graph in self._graphs:
+                wp.capture_launch(graph)
             return
-        waiting = [self._pool.submit(launch.launch) for launch in self._launches[1:]]
-        self._launches[0].launch()
+        waiting = [self._pool.submit(wp.capture_launch, graph) for graph in self._graphs[1:]]
+        wp.capture_launch(self._graphs[0])
         for future in waiting:
             future.result()
 
@@ -347,7 +352,7 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
     layout = program.layout
     body = program.character.body
     control, substeps, observe = program.control, program.substeps, program.observe
-    begin, keep_finite = program.begin, program.keep_finite
+    begin, keep_finite, keep_poses = program.begin, program.keep_finite, program.keep_poses
     site_count = len(body.contacts)
     link_count = len(body.links)
     event_count = len(program.character.events)
@@ -390,9 +395,8 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
     def advance_frame(
         first_block: int,
         agent_count: int,
-        tick_count: int,
         tick: int,
-        slot: int,
+        clock: wp.array[int],
         # where
         terrain: terrain_type,
         surfaces: wp.array[int],
@@ -423,6 +427,8 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
         events_out: wp.array3d[wp.int16],
     ):
         block = first_block + wp.tid()
+        slot = clock[0]
+        tick_count = clock[1]
         for lane in range(lanes):
             agent = block * lanes + lane
             if wp.static(free_root):
@@ -446,12 +452,10 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
         # Whatever is not finite, or was frozen before, stays where it was at the start of the frame.
         keep_finite(state, backup, block)
         observe(state, seen, block)
+        keep_poses(seen, poses_out, block, slot, agent_count)
         for lane in range(lanes):
             agent = block * lanes + lane
             if agent < agent_count:
-                for link in range(link_count):
-                    for part in range(7):
-                        poses_out[slot, agent, link, part] = seen[block, 7 * link + part, lane]
                 for axis in range(3):
                     origins_out[slot, agent, axis] = origins[agent, axis]
                     chunk_velocities_out[slot, agent, axis] = seen[block, velocity_at + axis, lane]

@@ -7,7 +7,8 @@
 * ``substeps(state, parameters, command, planes, block, count)``: ``count`` substeps, the state held in registers;
 * ``begin(state, backup, block)``: at the start of a frame, clear latches and keep a copy;
 * ``keep_finite(state, backup, block)``: at its end, put agents whose state is not finite back to the copy;
-* ``observe(state, seen, block)``: link poses and velocities at the end of a frame.
+* ``observe(state, seen, block)``: link poses and velocities at the end of a frame;
+* ``keep_poses(seen, poses, block, slot, agent_count)``: the poses into the frame's slot of a chunk, agent by agent.
 
 All arrays are ``[block, variable, lane]`` of float32.
 
@@ -145,6 +146,7 @@ class Program:
             "observe": self._observe_source(),
             "begin": self._begin_source(),
             "keep_finite": self._keep_finite_source(),
+            "keep_poses": self._keep_poses_source(),
         }
         self.sources = sources
         self.key = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:12]
@@ -153,6 +155,7 @@ class Program:
         self.observe = self._native(sources["observe"], _observe_stub)
         self.begin = self._native(sources["begin"], _backup_stub)
         self.keep_finite = self._native(sources["keep_finite"], _backup_stub)
+        self.keep_poses = self._native(sources["keep_poses"], _poses_stub)
 
     @staticmethod
     def _native(source: str, stub: Any) -> Any:
@@ -358,6 +361,18 @@ class Program:
         return code
 
 
+    def _keep_poses_source(self) -> str:
+        count, lanes = POSE_SIZE * len(self.character.body.links), self.target.lanes
+        return (
+            f"for (int lane = 0; lane < {lanes}; ++lane) {{\n"
+            f"const int agent = block * {lanes} + lane;\n"
+            "if (agent >= agent_count) break;\n"
+            f"const float* from = (const float*)(seen.data) + (size_t)block * {self.seen_size * lanes} + lane;\n"
+            f"float* to = (float*)(poses.data) + ((size_t)slot * agent_count + agent) * {count};\n"
+            f"for (int i = 0; i < {count}; ++i) to[i] = from[i * {lanes}];\n}}\n"
+        )
+
+
 def link_poses(kin: articulated.Kinematics) -> list[Vector]:
     """Pose of every link in the world, quaternions chained from the joints' (no sign is chosen)."""
     turns: list[Vector] = []
@@ -388,6 +403,11 @@ def _substeps_stub(
     planes: wp.array3d[wp.float32],
     block: int,
     count: int,
+): ...
+
+
+def _poses_stub(
+    seen: wp.array3d[wp.float32], poses: wp.array4d[wp.float32], block: int, slot: int, agent_count: int
 ): ...
 
 
