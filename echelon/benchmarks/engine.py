@@ -22,9 +22,10 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from echelon.benchmarks.compile_time import compile_time
-from echelon.benchmarks.engine_report import print_table
+from echelon.benchmarks.engine_report import LARGEST_STEP, SAME_STEP, print_table
 from echelon.benchmarks.engine_runs import HOPPER, STRIDE, Run, Stride, character_of, start_run
 from echelon.benchmarks.sanity import Verdict
+from echelon.errors import InputError
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.program import Integrator
 
@@ -109,7 +110,7 @@ def _rate_of_runge_kutta(name: str, character: Character, rows: list[dict[str, A
 def _rate_at_largest_steps(name: str, character: Character, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     stride = largest_sane_stride(character, LADDER if name == HOPPER else FLIGHT_LADDER)
     peers = _peers_at_largest_steps(character, PEER_LADDER if name == HOPPER else PEER_FLIGHT_LADDER)
-    return [*rows, engine_row(name, character, stride=stride, peers=peers, measure="largest sane step")]
+    return [*rows, engine_row(name, character, stride=stride, peers=peers, measure=LARGEST_STEP)]
 
 
 def _add_compile_time(name: str, character: Character, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -132,7 +133,7 @@ def engine_row(
     stride: Stride = STRIDE,
     integrator: Integrator = "semi-implicit",
     peers: Sequence[PeerRun] | None = None,
-    measure: str = "same step",
+    measure: str = SAME_STEP,
 ) -> dict[str, Any]:
     """Race one character against MuJoCo and judge both.
 
@@ -248,7 +249,11 @@ def largest_sane_stride(character: Character, ladder: Sequence[Stride]) -> Strid
     """The last rung of a ladder of growing steps before the first that is not sane; the first if none is."""
     largest = ladder[0]
     for stride in ladder:
-        run = start_run(character, TRIAL_AGENTS, stride, "semi-implicit")
+        try:
+            run = start_run(character, TRIAL_AGENTS, stride, "semi-implicit")
+        except InputError:
+            # The engine itself refuses a step that the body's springs and contacts are too stiff for.
+            break
         for _ in range(TRIAL_ROUNDS):
             run.round()
         sane = run.verdict().sane

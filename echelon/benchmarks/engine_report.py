@@ -20,6 +20,9 @@ from rich.table import Table
 
 Row = dict[str, Any]
 
+SAME_STEP, LARGEST_STEP = "same step", "largest sane step"
+"""What a row measures: both engines at one step, or each at its own largest."""
+
 
 def _number(key: str, digits: int, scale: float = 1.0) -> Callable[[Row], str]:
     """A column of numbers; three digits where more would be noise, a dash where there is none."""
@@ -35,25 +38,38 @@ def _plain(key: str) -> Callable[[Row], str]:
     return lambda row: "–" if row.get(key) is None else str(row[key])
 
 
-COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
+Column = tuple[str, Callable[[Row], str]]
+
+COLUMNS_A_STEP: tuple[Column, ...] = (
     ("body", _plain("body")),
-    ("steps", _plain("measure")),
     ("integrator", _plain("integrator")),
-    ("contacts", _plain("contacts")),
     ("step [ms]", _number("step_seconds", 3, 1e3)),
-    ("substep [µs]", _number("substep_us", 4)),
-    ("agents' s per s", _number("real_time_factor", 0)),
-    ("MuJoCo's", _plain("peer_integrator")),
+    ("contacts", _plain("contacts")),
+    ("takes [µs]", _number("substep_us", 4)),
+    ("MuJoCo", _plain("peer_integrator")),
     ("contacts", _plain("peer_contacts")),
-    ("step [ms]", _number("peer_step_seconds", 3, 1e3)),
-    ("step takes [µs]", _number("peer_step_us", 2)),
-    ("s per s", _number("peer_real_time_factor", 0)),
-    ("ratio a step", _number("ratio", 1)),
-    ("ratio a second", lambda row: _ratio_of_seconds(row)),
+    ("takes [µs]", _number("peer_step_us", 2)),
+    ("ratio", _number("ratio", 1)),
     ("compile [s]", _number("compile_seconds", 1)),
-    ("from cache [s]", _number("load_seconds", 2)),
+    ("cached [s]", _number("load_seconds", 2)),
 )
-"""Headings with units, and what stands below them."""
+COLUMNS_A_SECOND: tuple[Column, ...] = (
+    ("body", _plain("body")),
+    ("step [ms]", _number("step_seconds", 3, 1e3)),
+    ("takes [µs]", _number("substep_us", 4)),
+    ("s per s", _number("real_time_factor", 0)),
+    ("MuJoCo", _plain("peer_integrator")),
+    ("step [ms]", _number("peer_step_seconds", 3, 1e3)),
+    ("takes [µs]", _number("peer_step_us", 2)),
+    ("s per s", _number("peer_real_time_factor", 0)),
+    ("ratio", lambda row: _ratio_of_seconds(row)),
+)
+
+SECTIONS: tuple[tuple[str, str, tuple[Column, ...]], ...] = (
+    (SAME_STEP, "One agent's step: Echelon's, then MuJoCo's of the same length", COLUMNS_A_STEP),
+    (LARGEST_STEP, "Seconds of one agent's life a second, each engine at its largest sane step", COLUMNS_A_SECOND),
+)
+"""For each measure its title, and headings with units with what stands below them."""
 
 
 def _ratio_of_seconds(row: Row) -> str:
@@ -89,12 +105,16 @@ def remarks(rows: Sequence[Row]) -> list[str]:
 def print_table(rows: Sequence[Row], console: Console | None = None) -> None:
     """Print what `run_engine_benchmark` returned: a table, what was measured, and why a rate is missing."""
     console = console or Console()
-    table = Table(title="Echelon's engine and MuJoCo, one core")
-    for place, (heading, _) in enumerate(COLUMNS):
-        table.add_column(heading, justify="left" if place < 3 or heading == "MuJoCo's" else "right")
-    for row in rows:
-        table.add_row(*(text(row) for _, text in COLUMNS))
-    console.print(table)
+    for measure, title, columns in SECTIONS:
+        chosen = [row for row in rows if row["measure"] == measure]
+        if not chosen:
+            continue
+        table = Table(title=title)
+        for heading, _ in columns:
+            table.add_column(heading, justify="left" if heading in ("body", "integrator", "MuJoCo") else "right")
+        for row in chosen:
+            table.add_row(*(text(row) for _, text in columns))
+        console.print(table)
     for line in (what_was_measured(rows), *remarks(rows)):
         console.print(line, markup=False, highlight=False)
 
@@ -136,9 +156,10 @@ def page(folder: Path) -> str:
     for path in sorted(folder.glob("*/engine.csv")):
         rows = read_csv(path)
         parts.append(f"## {path.parent.name}\n\n{what_was_measured(rows)}\n")
-        lines = [" | ".join(heading for heading, _ in COLUMNS), " | ".join("---" for _ in COLUMNS)]
-        lines += [" | ".join(text(row) for _, text in COLUMNS) for row in rows]
-        parts.append("\n".join(f"| {line} |" for line in lines) + "\n")
+        for measure, title, columns in SECTIONS:
+            lines = [" | ".join(heading for heading, _ in columns), " | ".join("---" for _ in columns)]
+            lines += [" | ".join(text(row) for _, text in columns) for row in rows if row["measure"] == measure]
+            parts.append(f"{title}:\n\n" + "\n".join(f"| {line} |" for line in lines) + "\n")
         notes = [f"* {row['body']}, {row['measure']}, {row['integrator']}: {row['why']}; MuJoCo: {row['peer_why']}." for row in rows]
         parts.append("\n".join(notes) + "\n")
     return "\n".join(parts)
@@ -169,7 +190,7 @@ Both count one agent's step. Ours computes in float32, many agents at once in th
 computes one agent in float64. MuJoCo uses whichever of its Euler, implicitfast and discrete integrators is the fastest.
 
 A rate per step rewards small steps. *Largest sane step* therefore gives each engine the largest step of a short ladder
-up to which it stayed sane, and "agents' s per s" is how many seconds of one agent's life a second of computing gives.
+up to which it stayed sane, and "s per s" is how many seconds of one agent's life a second of computing gives.
 
 **Sane** means for both that everything is finite and every quaternion of unit length. In flight, angular momentum
 drifts by at most 2 % a second and the energy about the centre of mass does not rise by more than 1 %. Our hoppers must

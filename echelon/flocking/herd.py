@@ -39,7 +39,9 @@ class HerdArrays:
         seen: The neighbours of each.
         sums: Sums of places and counts of members, shape [blocks].
         farthest: Place of the member farthest from the centroid, and its distance [m], shape [blocks].
-        commanded: Desired velocity in the modes "constant" and "random" [m/s], shape [agents].
+        commanded: Desired velocity in the mode "random" [m/s], shape [agents].
+        intended: What each wants in this frame [m/s], shape [agents].
+        known: What each wanted in the frame before, which the others go by [m/s], shape [agents].
     """
 
     mind: HerdMind

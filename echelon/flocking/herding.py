@@ -12,6 +12,10 @@ positions of that frame:
 Then what v asks for is made possible: approach to neighbours, the user and fences is limited (see `perception`), and
 so is the difference from the present velocity, for a robot that is asked to change too much within a hop falls.
 
+How fast one may come nearer to a neighbour depends on what the neighbour is about to do, that is, on what it wanted a
+frame ago, not on how it moves: who follows sets off with who leads, a frame later instead of a hop later, and who is
+held up by a fence holds up those behind, before they have run into it.
+
 Every agent enters the hash grid, one thread makes up the herd's mind, every agent looks round and wants. Sums over
 agents are made in blocks of `BLOCK` in index order, then over the blocks in order, so that nothing depends on how
 agents are dealt to threads. Those who have fallen, and those whose position is not finite, are no part of the herd: it
@@ -229,9 +233,9 @@ def regard_neighbours(
 ) -> wp.vec2:
     """v_herd: the mean of what each neighbour asks for, `spacing` between the two, weighted by 1 / distance.
 
-    The limits on the speed toward each go to `seen`: its own speed away, and what the room between the two bodies
-    allows. Of a neighbour that comes nearer half the speed is left to it to take away, or two who meet would both
-    turn back.
+    The limits on the speed toward each go to `seen`: the speed at which it means to leave, and what the room between
+    the two bodies allows. Of a neighbour that means to come nearer half the speed is left to it to take away, or two
+    who meet would both turn back.
     """
     place = table.places[agent]
     own = on_ground(velocities[agent])

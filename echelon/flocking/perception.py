@@ -168,20 +168,49 @@ def way_to(place: wp.vec2, target: wp.vec2, clearance: float, pen: Pen) -> wp.ve
 
     outer = h + clearance
     free = wp.max(pen.half_gap - clearance, 0.0)
-    starts_inside = wp.abs(a[0]) < h and wp.abs(a[1]) < h
-    ends_inside = wp.abs(b[0]) < h and wp.abs(b[1]) < h
-    leg = wp.vec2(outer, wp.clamp(b[1], -free, free))  # out through the opening
-    if not starts_inside:
-        side = wp.where(a[1] < 0.0, -outer, outer)
-        if a[0] < h:
-            # Behind the pen: the back corner on this side first. Beside it: the front corner.
-            leg = wp.vec2(wp.where(wp.abs(a[1]) < h, -outer, outer), side)
-        elif ends_inside:
-            leg = wp.vec2(h, wp.clamp(a[1], -free, free))
+    leg = wp.vec2(outer, wp.clamp(b[1], -free, free))  # from inside: out through the opening
+    if not (wp.abs(a[0]) < h and wp.abs(a[1]) < h):
+        if not (wp.abs(b[0]) < h and wp.abs(b[1]) < h):
+            leg = corner_to_pass(a, b, outer, clearance)
+        elif a[0] >= h:
+            leg = wp.vec2(h, wp.clamp(a[1], -free, free))  # in through the opening
         else:
-            leg = wp.vec2(outer, wp.where(b[1] < 0.0, -outer, outer))
+            leg = wp.vec2(outer, 0.0)  # first to before the opening
+            if crosses_fence(a, leg, pen):
+                leg = corner_to_pass(a, leg, outer, clearance)
     corner = from_pen_axes(leg, pen)
     return wp.vec3(corner[0], corner[1], wp.length(leg - a) + wp.length(b - leg))
+
+
+@wp.func
+def corner_to_pass(a: wp.vec2, b: wp.vec2, outer: float, reached: float) -> wp.vec2:
+    """The corner of a square about the origin to make for on the way round it from a to b.
+
+    Seen from a, the corner farthest to the left of b and the one farthest to the right; of the two the one with the
+    shorter way. A corner nearer than half of `reached` is behind us.
+    """
+    ahead = b - a
+    leftmost = wp.float32(-4.0)
+    rightmost = wp.float32(4.0)
+    left = b
+    right = b
+    for index in range(4):
+        corner = wp.vec2(
+            wp.where(index == 0 or index == 3, outer, -outer),
+            wp.where(index < 2, outer, -outer),
+        )
+        gap = corner - a
+        if wp.length(gap) > 0.5 * reached:
+            angle = wp.atan2(ahead[0] * gap[1] - ahead[1] * gap[0], wp.dot(ahead, gap))
+            if angle > leftmost:
+                leftmost = angle
+                left = corner
+            if angle < rightmost:
+                rightmost = angle
+                right = corner
+    if wp.length(left - a) + wp.length(b - left) < wp.length(right - a) + wp.length(b - right):
+        return left
+    return right
 
 
 # ---- approaching -----------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from echelon.scenario import CorralSettings, WorldSettings
 from echelon.terrain.walls import (
@@ -62,7 +62,7 @@ def sampled_distances(points: np.ndarray, world: WorldSettings) -> np.ndarray:
     walls = segments(infield_walls(world)).astype(np.float64)
     part = np.linspace(0.0, 1.0, 3001)[:, None, None]
     samples = walls[:, :2] + part * (walls[:, 2:] - walls[:, :2])
-    return cKDTree(samples.reshape(-1, 2)).query(points)[0]
+    return KDTree(samples.reshape(-1, 2)).query(points)[0]
 
 
 def random_points(count: int, seed: int = 1) -> np.ndarray:

@@ -227,15 +227,18 @@ def test_a_body_lifted_off_is_never_held_back(integration: Integration):
 
 # ---- stiff friction on something light -------------------------------------------------------------------------------
 def foot_with_light_toe(integration: Integration) -> ServoedBody:
-    """Five kilograms over a toe of twenty grams, hinged; the site under the toe is as stiff as a man's."""
+    """Five kilograms on heels and a hinged toe of a hundred grams, on sites as stiff as a man's.
+
+    A force at the toe's tip moves fifty grams: damping alone, h c / m, is 25 there at 1/1200 s.
+    """
     heel = Link("foot", None, Joint("root", "free", position=(0.0, 0.0, 0.1)), 5.0, inertia=diagonal(0.05, 0.08, 0.06))
     toe = Link(
         "toe",
         "foot",
         Joint("hinge", "pin", position=(0.1, 0.0, -0.08), axes=((0.0, 1.0, 0.0),)),
-        0.02,
+        0.1,
         com=(0.02, 0.0, 0.0),
-        inertia=diagonal(4e-6, 8e-6, 8e-6),
+        inertia=diagonal(4e-5, 4e-5, 4e-5),
     )
     stiff: dict[str, Any] = {
         "stiffness": 70_000.0,
@@ -253,12 +256,13 @@ def foot_with_light_toe(integration: Integration) -> ServoedBody:
     return ServoedBody(Body(name="foot", links=(heel, toe), contacts=tuple(sites)), 2.0, 0.02)
 
 
-def landing(integration: Integration, step: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Put down softly, moving sideways; three different speeds."""
+def shoved(integration: Integration, step: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Standing, and shoved forwards or sideways: it slides, slows and sticks; three different speeds."""
     character = foot_with_light_toe(integration)
     q = np.tile(character.body.q_reference, (3, 1))
+    q[:, 2] -= 2e-4
     u = np.zeros((3, 7))
-    u[:, 0], u[:, 1], u[:, 2] = (0.0, 0.3, -0.2), (0.1, 0.0, 0.2), -0.3
+    u[:, 0], u[:, 1] = (0.0, 0.2, -0.1), (0.1, 0.0, 0.15)
     run = ReferenceRun(character, q, u, step=step)
     with np.errstate(all="ignore"):
         for _ in range(round(seconds / step)):
@@ -267,7 +271,7 @@ def landing(integration: Integration, step: float, seconds: float) -> tuple[np.n
 
 
 def test_stiff_friction_under_a_light_toe_converges_with_the_step():
-    (coarse_q, _), (middle_q, _), (fine_q, fine_u) = (landing("implicit", STEP / n, 0.04) for n in (1, 2, 4))
+    (coarse_q, _), (middle_q, _), (fine_q, fine_u) = (shoved("implicit", STEP / n, 0.04) for n in (1, 2, 4))
     errors = np.max(np.abs(coarse_q - middle_q)), np.max(np.abs(middle_q - fine_q))
     assert errors[0] < 2e-3
     assert errors[1] < 0.65 * errors[0]
@@ -286,7 +290,7 @@ def test_stiff_friction_under_a_light_toe_comes_to_rest_at_the_usual_step():
     assert np.max(np.abs(flight.u[:, :3])) < 1e-4
     assert np.max(np.abs(flight.u[:, 6])) < 1e-3
     # Explicitly the same toe has long flown to pieces.
-    _, wild = landing("explicit", STEP, 0.04)
+    _, wild = shoved("explicit", STEP, 0.04)
     assert not np.max(np.abs(wild)) < 1e3
 
 

@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 import warp as wp
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from echelon.warp_kernels.neighbours import CellTable, cell_table, clear_cells, enter_agent, nearest_neighbours
 
@@ -65,7 +65,7 @@ def expected_neighbours(places: np.ndarray, cap: int, visibility: float) -> tupl
     places = places.astype(np.float32)
     indices: list[list[int]] = []
     distances: list[list[float]] = []
-    for agent, near in enumerate(cKDTree(places).query_ball_point(places, visibility * 1.0001)):
+    for agent, near in enumerate(KDTree(places).query_ball_point(places, visibility * 1.0001)):
         others = np.array([other for other in near if other != agent], dtype=int)
         gaps = places[others] - places[agent]
         squares = gaps[:, 0] * gaps[:, 0] + gaps[:, 1] * gaps[:, 1]
