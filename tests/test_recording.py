@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from echelon.recording import layout as recording_layout
 from echelon.errors import InputError
 from echelon.recording import (
     EVENT_DTYPE,
@@ -31,6 +30,7 @@ from echelon.recording import (
     RecordingWriter,
     estimate_bytes,
 )
+from echelon.recording import layout as recording_layout
 from echelon.warp_kernels.model import Joint, Link, Model
 
 AGENTS, LINKS, FRAMES, CHUNK = 5, 3, 233, 20

@@ -208,10 +208,10 @@ def _diagonal(x: float, y: float, z: float) -> tuple[tuple[float, float, float],
 class Hopper:
     """The hopper as a `Character`: commands are the desired velocity along world x and y [m/s]."""
 
-    name = "hopper"
-    commands = ("velocity_x", "velocity_y")
-    phase_names = ("flight", "loading", "compression", "thrust", "unloading", "fallen")
-    events = ("touchdown", "liftoff", "fall")
+    name: str = "hopper"
+    commands: tuple[str, ...] = ("velocity_x", "velocity_y")
+    phase_names: tuple[str, ...] = ("flight", "loading", "compression", "thrust", "unloading", "fallen")
+    events: tuple[str, ...] = ("touchdown", "liftoff", "fall")
     memory: Mapping[str, float] = {
         "phase": FLIGHT,
         "fallen": 0.0,
@@ -306,7 +306,9 @@ class Hopper:
         following = select(landing, float(LOADING), following)
         following = select(in_loading & (compression > 0.012), float(COMPRESSION), following)
         # A bounce that never loads the leg goes straight back to flight.
-        following = select(in_loading & logical_not(loaded) & (0.03 / view.tick < memory["in_phase"]), float(FLIGHT), following)
+        following = select(
+            in_loading & logical_not(loaded) & (0.03 / view.tick < memory["in_phase"]), float(FLIGHT), following
+        )
         deepest = in_compression & (leg_rate > 0.0)
         following = select(deepest, float(THRUST), following)
         following = select(in_thrust & (compression < 0.012), float(UNLOADING), following)
@@ -431,7 +433,9 @@ class Hopper:
         rotation, _ = view.kin.world(view.kin.tree.node_of_link[0])
         self._latch(view, load, rotation)
 
-        joints.servo(LEG_SPEED, q[LEG], u[LEG_SPEED], memory["leg"], 0.0, view.parameters["leg_stiffness"], LEG_DAMPING, h)
+        joints.servo(
+            LEG_SPEED, q[LEG], u[LEG_SPEED], memory["leg"], 0.0, view.parameters["leg_stiffness"], LEG_DAMPING, h
+        )
 
         kp, kv = memory["hip_stiffness"], memory["hip_damping"]
         joints.servo(HIP_SPEED, q[HIP], u[HIP_SPEED], memory["hip_x"], 0.0, kp, kv, h)

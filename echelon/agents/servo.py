@@ -29,7 +29,7 @@ class ServoedBody:
     """
 
     commands: tuple[str, ...] = ()
-    phase_names = ("held",)
+    phase_names: tuple[str, ...] = ("held",)
     events: tuple[str, ...] = ()
     memory: Mapping[str, float] = {"phase": 0.0, "fallen": 0.0, "loaded": 0.0}
 

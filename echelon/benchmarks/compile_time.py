@@ -64,12 +64,14 @@ def _measure(body_name: str) -> float:
     """Seconds to compile or load one body in this process."""
     from echelon.benchmarks.engine_runs import STRIDE, bound_engine, character_of
     from echelon.warp_kernels.emit import cpu_compiler_flags, host_lanes
+    from echelon.warp_kernels.start import start_warp
 
+    start_warp()
     options = {"enable_backward": False, "cpu_compiler_flags": cpu_compiler_flags(host_lanes())}
 
     @wp.kernel(module="unique", module_options=options, enable_backward=False)
     def nothing(numbers_out: wp.array[wp.float32]):
-        numbers_out[wp.tid()] = 0.0
+        numbers_out[wp.tid()] = 0.0  # pyright: ignore[reportIndexIssue] (an array in a kernel)
 
     wp.launch(nothing, dim=1, outputs=[wp.zeros(1, dtype=wp.float32, device="cpu")], device="cpu")
     start = time.perf_counter()

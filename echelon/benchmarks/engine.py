@@ -45,10 +45,10 @@ TRIAL_AGENTS = 96  # on the ladder
 TRIAL_ROUNDS = 10
 CHOOSING_ROUNDS = 3  # in which MuJoCo's integrators compete
 
-LADDER = (Stride(40, 5), Stride(32, 4), Stride(24, 3), Stride(16, 2), Stride(8, 1))
+LADDER = (STRIDE, Stride(16, 2), Stride(8, 1))
 """From small steps to large, all with 240 control ticks a second."""
 FLIGHT_LADDER = (*LADDER, Stride(4, 1))
-PEER_LADDER = (1 / 1200, 1 / 960, 1 / 720, 1 / 480, 1 / 300, 1 / 240)
+PEER_LADDER = (1 / 720, 1 / 480, 1 / 300, 1 / 240)
 """Of MuJoCo where there is control: a step longer than a tick would let it act less often [s]."""
 PEER_FLIGHT_LADDER = (*PEER_LADDER, 1 / 180, 1 / 120, 1 / 60)
 

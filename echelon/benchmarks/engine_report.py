@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -44,14 +45,12 @@ COLUMNS_A_STEP: tuple[Column, ...] = (
     ("body", _plain("body")),
     ("integrator", _plain("integrator")),
     ("step [ms]", _number("step_seconds", 3, 1e3)),
-    ("contacts", _plain("contacts")),
+    ("contact sites", _plain("contacts")),
     ("takes [µs]", _number("substep_us", 4)),
     ("MuJoCo", _plain("peer_integrator")),
-    ("contacts", _plain("peer_contacts")),
+    ("contact sites", _plain("peer_contacts")),
     ("takes [µs]", _number("peer_step_us", 2)),
     ("ratio", _number("ratio", 1)),
-    ("compile [s]", _number("compile_seconds", 1)),
-    ("cached [s]", _number("load_seconds", 2)),
 )
 COLUMNS_A_SECOND: tuple[Column, ...] = (
     ("body", _plain("body")),
@@ -89,6 +88,16 @@ def what_was_measured(rows: Sequence[Row]) -> str:
     )
 
 
+def compile_times(rows: Sequence[Row]) -> list[str]:
+    """One line on compilation, if it was measured."""
+    found = [
+        f"{row['body']} {row['compile_seconds']:.1f} s ({row['load_seconds']:.2f} s from the cache)"
+        for row in rows
+        if row["compile_seconds"] is not None and row["measure"] == SAME_STEP
+    ]
+    return [f"First compilation after Warp's own start-up: {', '.join(found)}."] if found else []
+
+
 def remarks(rows: Sequence[Row]) -> list[str]:
     """A line for every rate that is not given, and one if there was nobody to compare with."""
     lines = []
@@ -109,13 +118,13 @@ def print_table(rows: Sequence[Row], console: Console | None = None) -> None:
         chosen = [row for row in rows if row["measure"] == measure]
         if not chosen:
             continue
-        table = Table(title=title)
+        table = Table(title=title, box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False, title_justify="left")
         for heading, _ in columns:
             table.add_column(heading, justify="left" if heading in ("body", "integrator", "MuJoCo") else "right")
         for row in chosen:
             table.add_row(*(text(row) for _, text in columns))
         console.print(table)
-    for line in (what_was_measured(rows), *remarks(rows)):
+    for line in (what_was_measured(rows), *compile_times(rows), *remarks(rows)):
         console.print(line, markup=False, highlight=False)
 
 
@@ -160,7 +169,11 @@ def page(folder: Path) -> str:
             lines = [" | ".join(heading for heading, _ in columns), " | ".join("---" for _ in columns)]
             lines += [" | ".join(text(row) for _, text in columns) for row in rows if row["measure"] == measure]
             parts.append(f"{title}:\n\n" + "\n".join(f"| {line} |" for line in lines) + "\n")
-        notes = [f"* {row['body']}, {row['measure']}, {row['integrator']}: {row['why']}; MuJoCo: {row['peer_why']}." for row in rows]
+        parts += [f"{line}\n" for line in compile_times(rows)]
+        notes = [
+            f"* {row['body']}, {row['measure']}, {row['integrator']}: {row['why']}; MuJoCo: {row['peer_why']}."
+            for row in rows
+        ]
         parts.append("\n".join(notes) + "\n")
     return "\n".join(parts)
 
@@ -198,8 +211,8 @@ all stand and hold their mean velocity within 0.15 m/s, over 20 s (10 s on the l
 control, must not fall and its energy must not rise, set down and dropped from a hop's height; its step is no longer
 than the 1/240 s in which control must be able to act. A run that is not sane has no rate.
 
-*Compile* is from a character to a kernel that can be launched, with an empty kernel cache but after Warp's own start-up
-and precompiled header; *from cache* is the same in the next process.
+Compilation is timed from a character to a kernel that can be launched, with an empty kernel cache but after Warp's own
+start-up and precompiled header, and again in the next process, from the cache.
 
 Made by `python -m echelon.benchmarks.engine_report docs/benchmarks MACHINE`, which also writes a machine's CSV file.
 """

@@ -15,7 +15,7 @@ import numpy as np
 
 from echelon.agents import hopper
 from echelon.agents.servo import ServoedBody
-from echelon.benchmarks.engine_runs import flight_states
+from echelon.benchmarks.engine_runs import JUDGED_AGENTS, flight_states
 from echelon.benchmarks.mujoco_peer import CoordinateOrder, JointSpring, peer_model
 from echelon.benchmarks.sanity import Verdict, judge_flight, judge_standing
 from echelon.warp_kernels.character import Character
@@ -29,7 +29,6 @@ STANDING_TILT = 0.03  # [rad]
 FLIGHT_TIME = 1.0  # [s]
 FLIGHT_STARTS = 4  # a round
 FLIGHT_SAMPLES = 5
-WARM_UP = 10  # steps before the clock starts, so that caches are warm
 
 
 class PeerRun(Protocol):
@@ -146,11 +145,11 @@ class FlightPeer:
         self._model = peer_model(body, springs=springs, step=step, integrator=integrator)
         self._data = mujoco.MjData(self._model)
         self._order = CoordinateOrder.of(body, self._model)
-        self._starts = flight_states(body, FLIGHT_STARTS)
+        self._starts = flight_states(body, JUDGED_AGENTS)
 
     def round(self) -> float:
         steps, seconds = max(round(FLIGHT_TIME / self.step), 1), 0.0
-        for start_q, start_u in zip(*self._starts, strict=True):
+        for start_q, start_u in list(zip(*self._starts, strict=True))[:FLIGHT_STARTS]:
             self._launch(start_q, start_u)
             start = time.perf_counter()
             mujoco.mj_step(self._model, self._data, nstep=steps)

@@ -249,24 +249,22 @@ def regard_neighbours(
         distance = wp.max(seen.distances[agent, k], 1.0e-6)
         drift = rules.lookahead * (on_ground(velocities[other]) - own)
 
-        toward = gap / distance
+        toward = gap * (1.0 / distance)
         leaving = wp.dot(known[other], toward)
         room = distance + wp.dot(drift, toward) - keep
         seen.towards[agent, k] = toward
         seen.fastest[agent, k] = wp.where(leaving < 0.0, 0.5, 1.0) * leaving + rules.clearance_gain * room
 
         leg = gap + drift
-        leg_length = wp.max(wp.length(leg), 1.0e-3)
-        way_length = leg_length
+        weight = 1.0 / wp.max(wp.length(leg), 1.0e-3)  # 1 / distance
+        unit = weight * leg
         if near_pen:
             way = way_to(place, place + leg, rules.wall_distance, pen)
-            leg = on_ground(way) - place
-            leg_length = wp.max(wp.length(leg), 1.0e-3)
-            way_length = wp.max(way[2], 1.0e-3)
-        if fallen[other] == 0 or way_length < rules.spacing:
-            # weight (distance - spacing) times the unit vector of the leg, weight = 1 / distance
-            asked += ((1.0 - rules.spacing / way_length) / leg_length) * leg
-            weights += 1.0 / way_length
+            unit = wp.normalize(on_ground(way) - place)
+            weight = 1.0 / wp.max(way[2], 1.0e-3)
+        if fallen[other] == 0 or weight * rules.spacing > 1.0:
+            asked += (1.0 - weight * rules.spacing) * unit  # weight (distance - spacing), along the way
+            weights += weight
     if weights == 0.0:
         return asked
     return shortened(asked * (rules.gain / weights), rules.max_speed)

@@ -133,7 +133,9 @@ def _link_inertia(link: Any) -> LinkInertia:
     com = np.array(link.com, dtype=float)
     tensor = np.array(link.inertia, dtype=float)
     tensor = 0.5 * (tensor + tensor.T) + link.mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return LinkInertia(float(link.mass), [float(x) for x in link.mass * com], [[float(x) for x in row] for row in tensor])
+    return LinkInertia(
+        float(link.mass), [float(x) for x in link.mass * com], [[float(x) for x in row] for row in tensor]
+    )
 
 
 # ---- pass 1: from the root outwards --------------------------------------------------------------------------------
@@ -375,7 +377,9 @@ def forward_dynamics(
             force = tau[speed]
             if node.kind == "free" and not angular:
                 # The generalised force is along the world's axes, the elimination along the link's.
-                force = dot([kin.rotation[place][row][direction or 0] for row in range(3)], list(tau[node.u : node.u + 3]))
+                force = dot(
+                    [kin.rotation[place][row][direction or 0] for row in range(3)], list(tau[node.u : node.u + 3])
+                )
             extra = 0.0 if implicit is None else implicit[speed]
             articulated, elimination = _eliminate(articulated, axis, direction, angular, force, extra, speed)
             eliminations[place].append(elimination)
@@ -638,8 +642,6 @@ def inverse_dynamics(kin: Kinematics, qdd: Sequence[Any]) -> list[Any]:
             tau[node.u] = dot(list(node.axis), moment if node.kind == "revolute" else force)
         if node.parent >= 0:
             in_parent = apply(R, force)
-            moments[node.parent] = add(
-                moments[node.parent], add(apply(R, moment), cross(kin.offset[place], in_parent))
-            )
+            moments[node.parent] = add(moments[node.parent], add(apply(R, moment), cross(kin.offset[place], in_parent)))
             forces[node.parent] = add(forces[node.parent], in_parent)
     return tau

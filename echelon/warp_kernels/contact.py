@@ -97,7 +97,13 @@ def strain_count(site: ContactSite) -> int:
 
 
 def contact(
-    kin: Kinematics, model: Model, site: ContactSite, plane: Sequence[Any], strain: Sequence[Any], step: Any, advance: Any
+    kin: Kinematics,
+    model: Model,
+    site: ContactSite,
+    plane: Sequence[Any],
+    strain: Sequence[Any],
+    step: Any,
+    advance: Any,
 ) -> Contact:
     """Contact of one site with its local plane.
 
@@ -371,9 +377,7 @@ def spring_forces(kin: Kinematics, model: Model) -> dict[int, list[tuple[Vector,
         else:
             length = sqrt(maximum(dot(gap, gap), 1e-12))
             along = scale(1.0 / length, gap)
-            on_a = scale(
-                spring.stiffness * (length - spring.rest_length) + spring.damping * dot(rate, along), along
-            )
+            on_a = scale(spring.stiffness * (length - spring.rest_length) + spring.damping * dot(rate, along), along)
         for (name, _, _, position), force in zip(ends, (on_a, negate(on_a)), strict=True):
             if name is None:
                 continue

@@ -227,9 +227,7 @@ def _fused_products(graph: Graph, live: Sequence[int], uses: Sequence[int]) -> d
     return fused
 
 
-def _expression(
-    graph: Graph, index: int, fused: dict[int, int], name: Callable[[int], str], target: Target
-) -> str:
+def _expression(graph: Graph, index: int, fused: dict[int, int], name: Callable[[int], str], target: Target) -> str:
     op, operands = graph.nodes[index]
     if index in fused:
         product = fused[index]

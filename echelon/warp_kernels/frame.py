@@ -13,7 +13,6 @@ How agents are dealt out to lanes, blocks and threads cannot change a bit: no ag
 operation is elementwise across lanes, and padding lanes hold an agent that nobody reads.
 """
 
-
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -341,7 +340,9 @@ def type_of(data: Any) -> Any:
 
 
 @lru_cache(maxsize=32)
-def _program(character: Character, step: float, tick: float, integrator: Integrator, target: Target, level: bool) -> Program:
+def _program(
+    character: Character, step: float, tick: float, integrator: Integrator, target: Target, level: bool
+) -> Program:
     return Program(character, step, tick, integrator, target, level)
 
 

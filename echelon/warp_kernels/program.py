@@ -105,7 +105,17 @@ def evaluate_substep(
     joints = JointForces.none(body.u_count)
     joints.limits(body, state.q, state.u, implicit_step)
     view = View(
-        state.q, state.u, kin, dict(state.memory), parameters, command, state.substep, step, tick, implicit_step, contacts
+        state.q,
+        state.u,
+        kin,
+        dict(state.memory),
+        parameters,
+        command,
+        state.substep,
+        step,
+        tick,
+        implicit_step,
+        contacts,
     )
     character.actuate(view, joints)
     qdd = articulated.forward_dynamics(kin, joints.tau, joints.implicit, loads, spring_forces(kin, body))
@@ -126,7 +136,13 @@ class Program:
     """
 
     def __init__(
-        self, character: Character, step: float, tick: float, integrator: Integrator, target: Target, level_ground: bool = False
+        self,
+        character: Character,
+        step: float,
+        tick: float,
+        integrator: Integrator,
+        target: Target,
+        level_ground: bool = False,
     ) -> None:
         if integrator == "semi-implicit":
             check_explicit_forces(character.body, step)
@@ -254,7 +270,15 @@ class Program:
         graph, h = Graph(), self.step
         state = self._variables(graph)
         result = evaluate_substep(
-            self.character, state, self._parameters(graph), self._command(graph), self._planes(graph), h, self.tick, h, h
+            self.character,
+            state,
+            self._parameters(graph),
+            self._command(graph),
+            self._planes(graph),
+            h,
+            self.tick,
+            h,
+            h,
         )
         tree, layout = self.character.body.tree, self.layout
         u = [a + h * b for a, b in zip(state.u, result.qdd, strict=True)]
@@ -273,7 +297,15 @@ class Program:
         graph = Graph()
         state = self._variables(graph)
         settled = evaluate_substep(
-            self.character, state, self._parameters(graph), self._command(graph), self._planes(graph), h, self.tick, 0.0, 0.0
+            self.character,
+            state,
+            self._parameters(graph),
+            self._command(graph),
+            self._planes(graph),
+            h,
+            self.tick,
+            0.0,
+            0.0,
         )
         outputs = self._strain_outputs(graph, settled.strains, "s", 0)
         outputs += self._changed_memory(graph, state, settled.memory)
@@ -284,7 +316,15 @@ class Program:
         graph = Graph()
         state = self._variables(graph, "y")
         rates = evaluate_substep(
-            self.character, state, self._parameters(graph), self._command(graph), self._planes(graph), h, self.tick, 0.0, 0.0
+            self.character,
+            state,
+            self._parameters(graph),
+            self._command(graph),
+            self._planes(graph),
+            h,
+            self.tick,
+            0.0,
+            0.0,
         )
         q_rate = position_rate(body.tree, state.q, state.u)
         outputs = [(f"d[{layout.q + i}]", graph.lift(value)) for i, value in enumerate(q_rate)]
@@ -338,7 +378,6 @@ class Program:
         code += self._pointer("O", "seen", self.seen_size)
         return code + statements(graph, outputs, self.target)
 
-
     def _begin_source(self) -> str:
         size = self.layout.size
         code = self.target.preamble + self._pointer("s", "state", size) + self._pointer("b", "backup", size)
@@ -359,7 +398,6 @@ class Program:
         code += "s[i] = (lost ? then : now); }\n"
         code += f"const lanes flag = s[{frozen}];\ns[{frozen}] = (lost ? (lanes)(1.0f) : flag);\n}}\n"
         return code
-
 
     def _keep_poses_source(self) -> str:
         count, lanes = POSE_SIZE * len(self.character.body.links), self.target.lanes

@@ -70,7 +70,9 @@ class ReferenceRun:
         self.integrator = integrator
         self.agent_count = len(q)
         body = character.body
-        self.planes = [list(map(float, p)) for p in planes] if planes is not None else [LEVEL_PLANE] * len(body.contacts)
+        self.planes = (
+            [list(map(float, p)) for p in planes] if planes is not None else [LEVEL_PLANE] * len(body.contacts)
+        )
         self.command = {name: self._column((command or {}).get(name, 0.0)) for name in character.commands}
         self.parameters = {
             name: self._column((parameters or {}).get(name, usual)) for name, usual in character.parameters.items()
@@ -142,9 +144,7 @@ class ReferenceRun:
         """One frame: control every `tick` substeps."""
         for name in self.character.events:
             self.state.memory[name] = self._column(NO_EVENT)
-        self.state = AgentState(
-            self.state.q, self.state.u, self.state.strains, self.state.memory, self._column(0.0)
-        )
+        self.state = AgentState(self.state.q, self.state.u, self.state.strains, self.state.memory, self._column(0.0))
         for count in range(substeps):
             if count % self.tick == 0:
                 self.control()

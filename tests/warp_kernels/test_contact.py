@@ -253,7 +253,7 @@ def foot_with_light_toe(integration: Integration) -> ServoedBody:
         ContactSite(f"toe {side}", "toe", (0.04, 0.03 * side, -0.02), integration=integration, **stiff)
         for side in (-1, 1)
     ]
-    return ServoedBody(Body(name="foot", links=(heel, toe), contacts=tuple(sites)), 2.0, 0.02)
+    return ServoedBody(Body(name="foot", links=(heel, toe), contacts=tuple(sites)), 80.0, 0.3)
 
 
 def shoved(integration: Integration, step: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
