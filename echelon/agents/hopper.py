@@ -32,7 +32,7 @@ import numpy as np
 
 from echelon.warp_kernels.character import NO_EVENT, Population, View
 from echelon.warp_kernels.contact import JointForces
-from echelon.warp_kernels.model import ContactSite, Joint, Link, Model, Visual
+from echelon.warp_kernels.model import ContactSite, Joint, Link, Matrix3, Model, Visual
 from echelon.warp_kernels.reference import Body
 from echelon.warp_kernels.spatial import apply, apply_transposed, dot
 from echelon.warp_kernels.trace import (
@@ -160,7 +160,7 @@ def hopper_model() -> Model:
                 FOOT,
                 "lower_leg",
                 (0.0, 0.0, -LEG_LENGTH),
-                radii=(FOOT_RADIUS,) * 3,
+                radii=(FOOT_RADIUS, FOOT_RADIUS, FOOT_RADIUS),
                 stiffness=50_000.0,
                 damping=170.0,
                 tangential_stiffness=40_000.0,
@@ -188,7 +188,7 @@ def hopper_model() -> Model:
                 BUMPER,
                 "body",
                 (0.0, 0.0, 0.0),
-                radii=(COLLISION_RADIUS,) * 3,
+                radii=(COLLISION_RADIUS, COLLISION_RADIUS, COLLISION_RADIUS),
                 surface="wall",
                 stiffness=8_000.0,
                 damping=300.0,
@@ -201,7 +201,7 @@ def hopper_model() -> Model:
     )
 
 
-def _diagonal(x: float, y: float, z: float) -> tuple[tuple[float, float, float], ...]:
+def _diagonal(x: float, y: float, z: float) -> Matrix3:
     return ((x, 0.0, 0.0), (0.0, y, 0.0), (0.0, 0.0, z))
 
 
@@ -464,9 +464,9 @@ class Hopper:
     def _latch(self, view: View, load: Any, rotation: Any) -> None:
         """Notice what happens between ticks; control says what to watch for."""
         memory = view.memory
-        bears = 0.0 < load
-        touch = bears & (0.5 < memory["watch_touchdown"])
-        lift = logical_not(bears) & (0.5 < memory["watch_liftoff"])
+        bears = load > 0.0
+        touch = bears & (memory["watch_touchdown"] > 0.5)
+        lift = logical_not(bears) & (memory["watch_liftoff"] > 0.5)
         memory["touchdown"] = select(touch, view.substep, memory["touchdown"])
         memory["liftoff"] = select(lift, view.substep, memory["liftoff"])
         memory["watch_touchdown"] = select(touch, 0.0, memory["watch_touchdown"])
@@ -474,7 +474,7 @@ class Hopper:
         memory["touched"] = select(touch, 1.0, memory["touched"])
         memory["away"] = select(lift, 1.0, memory["away"])
         memory["loaded"] = select(bears, 1.0, 0.0)
-        down = (rotation[2][2] < FALLEN_COSINE) | (0.0 < view.contacts[BELLY].normal_force)
+        down = (rotation[2][2] < FALLEN_COSINE) | (view.contacts[BELLY].normal_force > 0.0)
         newly = down & (memory["fallen"] < 0.5)
         memory["fall"] = select(newly, view.substep, memory["fall"])
         memory["fallen"] = select(down, 1.0, memory["fallen"])

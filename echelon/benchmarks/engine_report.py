@@ -18,6 +18,7 @@ from typing import Any
 from rich import box
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 Row = dict[str, Any]
 
@@ -120,7 +121,8 @@ def print_table(rows: Sequence[Row], console: Console | None = None) -> None:
             continue
         table = Table(title=title, box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False, title_justify="left")
         for heading, _ in columns:
-            table.add_column(heading, justify="left" if heading in ("body", "integrator", "MuJoCo") else "right")
+            # Brackets hold units here, not markup.
+            table.add_column(Text(heading), justify="left" if heading in ("body", "integrator", "MuJoCo") else "right")
         for row in chosen:
             table.add_row(*(text(row) for _, text in columns))
         console.print(table)

@@ -1,8 +1,13 @@
 """Flat ground at z = 0 with upright walls, as the local planes that contacts meet."""
 
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
+# pyright: reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# Kernels: Warp compiles and checks them, and its types mean other things to it than to Python.
+
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import warp as wp
 
@@ -46,10 +51,10 @@ class FlatTerrain:
         rough: Whether planes change within a frame; here never.
     """
 
-    data: WallGrid
-    look_up = look_up_flat
-    level = True
-    rough = False
+    data: Any
+    look_up: ClassVar[Any] = look_up_flat
+    level: ClassVar[bool] = True
+    rough: ClassVar[bool] = False
 
     @classmethod
     def of(cls, world: WorldSettings, device: wp.DeviceLike = None) -> FlatTerrain:

@@ -423,9 +423,7 @@ def forward_dynamics(
 def _freedoms(node: Node) -> list[tuple[int, Vector, int | None, bool]]:
     """(speed, axis, coordinate direction or None, angular) of a node's freedoms, in order of elimination."""
     if node.kind == "free":
-        return [(node.u + 3 + i, AXES[i], i, True) for i in range(3)] + [
-            (node.u + i, AXES[i], i, False) for i in range(3)
-        ]
+        return [(node.u + (3 + i) % 6, AXES[i % 3], i % 3, i < 3) for i in range(6)]
     if node.kind == "ball":
         return [(node.u + i, AXES[i], i, True) for i in range(3)]
     direction = next((i for i in range(3) if abs(node.axis[i]) == 1.0), None)

@@ -57,8 +57,12 @@ from echelon.warp_kernels.spatial import (
 )
 from echelon.warp_kernels.trace import clamp, guarded, maximum, minimum, select, sqrt
 
-PEEL_ACCELERATION = 100.0
-"""Up to this acceleration of the link away from the ground, contact never pulls [m/s^2]."""
+PEEL_ACCELERATION = 30.0
+"""Up to this acceleration of the site away from the ground, contact never pulls [m/s^2].
+
+Torn away faster than that, a site with an implicit force may pull for a single substep. More would be safer there and
+leave more of the damper out: 3 g lets a light toe come to rest.
+"""
 
 ROLL_RATE = 0.3
 """Turning slower than this, rolling resistance fades, so that it does not depend on a sign [rad/s]."""

@@ -13,6 +13,12 @@ How agents are dealt out to lanes, blocks and threads cannot change a bit: no ag
 operation is elementwise across lanes, and padding lanes hold an agent that nobody reads.
 """
 
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
+# pyright: reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false, reportInvalidTypeForm=false
+# Kernels: Warp compiles and checks them, and its types mean other things to it than to Python. There is no
+# `from __future__ import annotations`, since the kernel's types are variables of the function that makes it.
+
+import itertools
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -35,19 +41,27 @@ THREAD_WORK = 4_000_000
 
 
 class Terrain(Protocol):
-    """What gives contact sites their local planes.
+    """What gives contact sites their local planes."""
 
-    Attributes:
-        data: A Warp struct instance that `look_up` reads.
-        look_up: Warp function (surface, point in the world, data) -> plane (n, d) in the world, float64.
-        level: Whether the ground's normal is +z everywhere.
-        rough: Whether a plane must be looked up every tick rather than every frame.
-    """
+    @property
+    def data(self) -> Any:
+        """A Warp struct instance that `look_up` reads."""
+        ...
 
-    data: Any
-    look_up: Any
-    level: bool
-    rough: bool
+    @property
+    def look_up(self) -> Any:
+        """Warp function (surface, point in the world, data) -> plane (n, d) in the world, float64."""
+        ...
+
+    @property
+    def level(self) -> bool:
+        """Whether the ground's normal is +z everywhere."""
+        ...
+
+    @property
+    def rough(self) -> bool:
+        """Whether a plane must be looked up every tick rather than every frame."""
+        ...
 
 
 @dataclass
@@ -284,10 +298,10 @@ class Engine:
             threads = min(os.cpu_count() or 1, max(1, work // THREAD_WORK))
         threads = max(1, min(threads, self.block_count))
         bounds = [self.block_count * i // threads for i in range(threads + 1)]
-        return [(a, b - a) for a, b in zip(bounds, bounds[1:], strict=False)]
+        return [(a, b - a) for a, b in itertools.pairwise(bounds)]
 
     def bind(self, chunk: ChunkArrays) -> None:
-        """Choose the chunk that frames are observed into, and capture the launches, which makes them cheap to repeat."""
+        """Choose the chunk that frames are observed into, and capture the launches, so that repeating them is cheap."""
         self._chunk = chunk
         wp.load_module(self._kernel.module, device=self.device)
         self._graphs = []
@@ -443,10 +457,9 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
             look_up_planes(block, lane, terrain, surfaces, state, origins, planes)
 
         for count in range(tick_count):
-            if wp.static(rough):
-                if count > 0:
-                    for lane in range(lanes):
-                        look_up_planes(block, lane, terrain, surfaces, state, origins, planes)
+            if wp.static(rough) and count > 0:
+                for lane in range(lanes):
+                    look_up_planes(block, lane, terrain, surfaces, state, origins, planes)
             control(state, parameters, command_lanes, block)
             substeps(state, parameters, command_lanes, planes, block, tick)
 

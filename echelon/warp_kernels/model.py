@@ -173,11 +173,11 @@ class ContactSite:
         tangential_stiffness, tangential_damping: Of the sticking anchor [N/m], [N s/m].
         friction: Coulomb coefficient.
         patch_radius: Radius of the patch whose friction resists spinning about the normal; 0 for none [m].
-        rolling_resistance: Lever arm by which the ground's support runs ahead of a rolling body: its moment is this times
-            the load; 0 for none [m].
-        integration: "implicit" takes its stiffness and damping implicitly (see `contact`) and is stable whatever they
-            are; "explicit" does not, which is cheaper and right where the mass behind the site is large enough for the
-            step (see `stability`).
+        rolling_resistance: Lever arm by which the ground's support runs ahead of a rolling body: its moment is this
+            times the load; 0 for none [m].
+        integration: "implicit" takes stiffness and damping implicitly (see `contact`), for a stiff site under something
+            light; "explicit" does not, which is cheaper and right where the mass behind the site is large enough for
+            the step (see `stability`).
         use: "usual", or "rare" for a site that hardly ever touches: its arithmetic is skipped while nobody's does.
     """
 

@@ -414,7 +414,7 @@ class Program:
 def link_poses(kin: articulated.Kinematics) -> list[Vector]:
     """Pose of every link in the world, quaternions chained from the joints' (no sign is chosen)."""
     turns: list[Vector] = []
-    for place, node in enumerate(kin.tree.nodes):
+    for node in kin.tree.nodes:
         if node.kind == "free":
             turn = list(kin.q[node.q + 3 : node.q + 7])
         elif node.kind == "ball":

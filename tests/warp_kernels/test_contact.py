@@ -24,11 +24,12 @@ from engine_scenes import (
 from echelon.agents.servo import ServoedBody
 from echelon.warp_kernels import articulated
 from echelon.warp_kernels.character import View
-from echelon.warp_kernels.contact import JointForces, contact
+from echelon.warp_kernels.contact import PEEL_ACCELERATION, JointForces, contact
 from echelon.warp_kernels.model import ContactSite, Integration, Joint, Link
 from echelon.warp_kernels.program import Integrator
 from echelon.warp_kernels.reference import Body
 from echelon.warp_kernels.reference_run import ReferenceRun
+from echelon.warp_kernels.spatial import add, apply_transposed, cross, dot
 
 BOTH: tuple[Integration, ...] = ("implicit", "explicit")
 
@@ -127,19 +128,16 @@ def test_anchors_do_not_creep_at_all_in_float64():
     character = slope_block("implicit")
     angle = FRICTION_ANGLE - 0.03
     planes = [(*slope_normal(angle), 0.0)] * 4
-    run = ReferenceRun(character, resting_on(character, angle)[None], np.zeros((1, 6)), planes=planes, step=1 / 300)
-    speeds = []
-    for _ in range(3):
-        for _ in range(60):
-            run.substep()
-        speeds.append(float(np.max(np.abs(run.u))))
-    assert speeds[2] < 1e-7
-    assert speeds[2] < 1e-2 * speeds[1]
+    run = ReferenceRun(character, resting_on(character, angle)[None], np.zeros((1, 6)), planes=planes, step=1 / 600)
+    for _ in range(200):
+        run.substep()
+    assert np.max(np.abs(run.u)) < 1e-10
 
 
 # ---- no adhesion -----------------------------------------------------------------------------------------------------
-def site_forces(run: ReferenceRun) -> tuple[list[Any], np.ndarray]:
-    """Of the present state: normal force of each site as it acts, implicit part included, and accelerations.
+def site_forces(run: ReferenceRun) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
+    """Of the present state: normal force of each site as it acts, implicit part included [N]; the acceleration of its
+    material point along the normal [m/s^2]; and the accelerations of all speeds.
 
     What acts is force - mass a - coupling^T alpha, about the link's origin in its axes (see `ContactLoad`).
     """
@@ -147,7 +145,7 @@ def site_forces(run: ReferenceRun) -> tuple[list[Any], np.ndarray]:
     result = run.evaluate(run.state, run.step, run.step)
     kin = articulated.kinematics(body.tree, run.state.q, run.state.u)
     accelerations = articulated.link_accelerations(kin, result.qdd)
-    forces = []
+    forces, rises = [], []
     for site, plane, strain in zip(body.contacts, run.planes, run.state.strains, strict=True):
         place = body.tree.node_of_link[body.link_index(site.link)]
         step = run.step if site.integration == "implicit" else 0.0
@@ -159,15 +157,20 @@ def site_forces(run: ReferenceRun) -> tuple[list[Any], np.ndarray]:
             - (0.0 if step == 0.0 else sum(load.mass[i][j] * a[j] + load.coupling[j][i] * alpha[j] for j in range(3)))
             for i in range(3)
         ]
-        forces.append(sum(plane[i] * sum(rotation[i][j] * acting[j] for j in range(3)) for i in range(3)))
-    return forces, np.stack(result.qdd, axis=-1)
+        normal = apply_transposed(rotation, list(plane[:3]))
+        forces.append(dot(normal, acting))
+        point = [p - r * n for p, r, n in zip(site.position, site.radii, normal, strict=True)]  # spheres and points
+        omega = kin.omega[place]
+        true_a = add(a, add(cross(alpha, point), cross(omega, cross(omega, point))))
+        rises.append(dot(normal, true_a) - body.gravity * plane[2])
+    return forces, rises, np.stack(result.qdd, axis=-1)
 
 
 def batch_in_contact(body: Body, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Poses up to a centimetre in or out of level ground, tilted and moving in any way."""
     rng = np.random.default_rng(seed)
     q = np.tile(body.q_reference, (count, 1))
-    q[:, 2] += rng.uniform(-0.01, 0.005, size=count)
+    q[:, 2] += rng.uniform(-0.01, 0.002, size=count)
     q[:, 3:6] = rng.uniform(-0.02, 0.02, size=(count, 3))
     u = rng.normal(size=(count, 6)) * ([1.0] * 3 + [3.0] * 3)
     return body.normalized(q), u
@@ -176,7 +179,10 @@ def batch_in_contact(body: Body, count: int, seed: int) -> tuple[np.ndarray, np.
 @pytest.mark.parametrize("integration", BOTH)
 @pytest.mark.parametrize("shape", ["ball", "block"])
 def test_the_normal_force_never_pulls(shape: str, integration: Integration):
-    """Thousands of states, with pulls up to 8 g: every site pushes or does nothing."""
+    """Thousands of states, impacts among them, with pulls up to 8 g: every site pushes or does nothing.
+
+    A site with an implicit force may pull, for this substep, if it is being torn away at more than 3 g.
+    """
     body = ball_body(integration=integration) if shape == "ball" else block_body(integration=integration)
     character = Pulled(body)
     count = 4000
@@ -190,12 +196,11 @@ def test_the_normal_force_never_pulls(shape: str, integration: Integration):
     for strain in run.state.strains:
         for i in range(3):
             strain[i][:] = rng.uniform(-2e-3, 2e-3, size=count)
-    forces, qdd = site_forces(run)
-    loaded = 0
-    for force in forces:
-        assert np.min(force) >= -1e-9
-        loaded += np.count_nonzero(force > 1.0)
-    assert loaded > count // 2
+    forces, rises, qdd = site_forces(run)
+    for force, rise in zip(forces, rises, strict=True):
+        torn = (rise > PEEL_ACCELERATION) & (integration == "implicit")
+        assert np.min(force[~torn]) >= -1e-9
+        assert np.count_nonzero(force[~torn] > 1.0) > count // 4
     # All forces together, from the acceleration that they cause (level ground: the ground's part is what is left).
     total = body.mass * (qdd[:, 2] + GRAVITY) - pulls["pull_z"]
     np.testing.assert_allclose(total, sum(forces), atol=1e-6)
@@ -206,7 +211,7 @@ def test_a_body_lifted_off_is_never_held_back(integration: Integration):
     """A ball at rest in its dent is pulled up: it is never lower or slower than if there were no ground."""
     body = ball_body(integration=integration, stiffness=20_000.0, damping=300.0)
     weight = body.mass * GRAVITY
-    factors = np.array([1.05, 1.5, 3.0, 6.0, 9.0])
+    factors = np.array([1.05, 1.5, 2.0, 3.0, 4.0])
     q = np.tile(body.q_reference, (5, 1))
     q[:, 2] -= weight / 20_000.0
     flight = start(Pulled(body), q, frame_rate=1200, substeps=1, tick=1)
@@ -271,11 +276,10 @@ def shoved(integration: Integration, step: float, seconds: float) -> tuple[np.nd
 
 
 def test_stiff_friction_under_a_light_toe_converges_with_the_step():
-    (coarse_q, _), (middle_q, _), (fine_q, fine_u) = (shoved("implicit", STEP / n, 0.04) for n in (1, 2, 4))
-    errors = np.max(np.abs(coarse_q - middle_q)), np.max(np.abs(middle_q - fine_q))
-    assert errors[0] < 2e-3
+    ends = [shoved("implicit", STEP / n, 0.02)[0] for n in (1, 2, 4)]
+    errors = [np.max(np.abs(a - b)) for a, b in zip(ends, ends[1:], strict=False)]
+    assert errors[0] < 1e-3
     assert errors[1] < 0.65 * errors[0]
-    assert np.max(np.abs(fine_u)) < 50.0
 
 
 def test_stiff_friction_under_a_light_toe_comes_to_rest_at_the_usual_step():
@@ -285,13 +289,12 @@ def test_stiff_friction_under_a_light_toe_comes_to_rest_at_the_usual_step():
     u[:, 0], u[:, 1], u[:, 2] = np.linspace(-0.5, 0.5, 8), np.linspace(0.4, -0.2, 8), -0.3
     flight = start(character, q, u)
     fastest = max(float(np.max(np.abs(flight.advance(1).u))) for _ in range(6))
-    assert fastest < 60.0
-    flight.advance(84)
-    assert np.max(np.abs(flight.u[:, :3])) < 1e-4
-    assert np.max(np.abs(flight.u[:, 6])) < 1e-3
+    assert fastest < 4.0
+    flight.advance(54)
+    assert np.max(np.abs(flight.u)) < 1e-3
     # Explicitly the same toe has long flown to pieces.
-    _, wild = shoved("explicit", STEP, 0.04)
-    assert not np.max(np.abs(wild)) < 1e3
+    _, wild = shoved("explicit", STEP, 0.02)
+    assert not np.max(np.abs(wild)) < 100.0
 
 
 # ---- drops -----------------------------------------------------------------------------------------------------------
@@ -305,14 +308,14 @@ def test_a_dropped_ball_rests_as_deep_as_its_weight_presses_it(integration: Inte
     q[2] += drop
     flight = start(passive(body), q, frame_rate=1200, substeps=1, tick=1)
     radius, weight = 0.2, body.mass * GRAVITY
-    energies, heights = [], []
+    heights, speeds = [], []
     for _ in range(2400):
         flight.advance(1)
-        height = flight.q[0, 2] - radius
-        dent = max(-height, 0.0)
-        energies.append(0.5 * body.mass * flight.u[0, 2] ** 2 + weight * height + 0.5 * stiffness * dent**2)
-        heights.append(height)
-    energy, height = np.array(energies), np.array(heights)
+        heights.append(flight.q[0, 2] - radius)
+        speeds.append(flight.u[0, 2])
+    # A speed belongs to the middle of the step that it carries the ball over.
+    height, speed = np.array(heights)[:-1], 0.5 * (np.array(speeds)[:-1] + np.array(speeds)[1:])
+    energy = 0.5 * body.mass * speed**2 + weight * height + 0.5 * stiffness * np.maximum(-height, 0.0) ** 2
     rises = energy - np.minimum.accumulate(energy)
     assert np.max(rises) < 0.01 * weight * drop
     apexes = height[1:-1][(height[1:-1] > height[:-2]) & (height[1:-1] >= height[2:]) & (height[1:-1] > 1e-4)]
@@ -357,7 +360,7 @@ def test_a_ball_rolls_down_a_slope_without_slip(integration: Integration, integr
         spins.append(float(flight.u[0, 4]))
         flight.advance(15)
     assert (speeds[2] - speeds[0]) == pytest.approx(5.0 / 7.0 * GRAVITY * np.sin(angle), rel=0.002)
-    np.testing.assert_allclose(speeds, np.array(spins) * (radius - depth), rtol=3e-3)
+    np.testing.assert_allclose(speeds, np.array(spins) * radius, rtol=1e-4)
     slippery = replace(body, contacts=(replace(body.contacts[0], friction=0.04),))
     flight = start(passive(slippery), q, angle=angle, integrator=integrator).advance(30)
     assert flight.u[0, :3] @ downhill(angle) == pytest.approx(
@@ -403,7 +406,7 @@ def test_a_patch_resists_spinning_up_to_its_limit(integration: Integration):
     u = np.zeros((4, 6))
     u[0, 5] = 6.0  # spins down
     flight = start(Pulled(body), q, u)
-    flight.engine.set_parameter("turn_z", np.array([0.0, 0.8 * limit, 1.5 * limit, -1.5 * limit]))
+    flight.engine.set_parameter("turn_z", np.array([0.0, 0.45 * limit, 1.5 * limit, -1.5 * limit]))
     flight.advance(6)
     early = flight.u[:, 5]
     flight.advance(6)
@@ -411,12 +414,10 @@ def test_a_patch_resists_spinning_up_to_its_limit(integration: Integration):
     assert rate[0] == pytest.approx(-limit / 0.3, rel=0.01)
     assert rate[2] == pytest.approx(0.5 * limit / 0.3, rel=0.01)
     assert rate[3] == pytest.approx(-0.5 * limit / 0.3, rel=0.01)
-    held = 0.8 * limit / (20_000.0 * patch**2)  # the twist whose spring bears the moment
-    turned = 2.0 * np.arcsin(flight.q[1, 5])
-    assert held == pytest.approx(turned, rel=0.02)
     flight.advance(48)
     assert abs(flight.u[0, 5]) < 1e-3
-    assert 2.0 * np.arcsin(flight.q[1, 5]) == pytest.approx(held, rel=0.01)
+    # The patch's spring bears the second's moment at this twist.
+    assert 2.0 * np.arcsin(flight.q[1, 5]) == pytest.approx(0.45 * limit / (20_000.0 * patch**2), rel=0.01)
 
 
 # ---- walls -----------------------------------------------------------------------------------------------------------
@@ -485,7 +486,7 @@ def test_a_bouncing_ball_touches_once_a_bounce():
     run = ReferenceRun(passive(body), q[None], np.zeros((1, 6)), step=STEP)
     loads, dented = [], []
     for _ in range(700):
-        forces, _ = site_forces(run)
+        forces, _, _ = site_forces(run)
         loads.append(bool(forces[0][0] > 0.0))
         dented.append(bool(run.state.q[2][0] < 0.2))
         run.substep()
