@@ -46,27 +46,28 @@ COLUMNS_A_STEP: tuple[Column, ...] = (
     ("body", _plain("body")),
     ("integrator", _plain("integrator")),
     ("step [ms]", _number("step_seconds", 3, 1e3)),
-    ("contact sites", _plain("contacts")),
-    ("takes [µs]", _number("substep_us", 4)),
-    ("MuJoCo", _plain("peer_integrator")),
-    ("contact sites", _plain("peer_contacts")),
-    ("takes [µs]", _number("peer_step_us", 2)),
+    ("contact sites", lambda row: f"{row['contacts']} / {_plain('peer_contacts')(row)}"),
+    ("Echelon [µs]", _number("substep_us", 4)),
+    ("MuJoCo [µs]", _number("peer_step_us", 2)),
+    ("its integrator", _plain("peer_integrator")),
     ("ratio", _number("ratio", 1)),
 )
 COLUMNS_A_SECOND: tuple[Column, ...] = (
     ("body", _plain("body")),
     ("step [ms]", _number("step_seconds", 3, 1e3)),
-    ("takes [µs]", _number("substep_us", 4)),
+    ("Echelon [µs]", _number("substep_us", 4)),
     ("s per s", _number("real_time_factor", 0)),
-    ("MuJoCo", _plain("peer_integrator")),
     ("step [ms]", _number("peer_step_seconds", 3, 1e3)),
-    ("takes [µs]", _number("peer_step_us", 2)),
+    ("MuJoCo [µs]", _number("peer_step_us", 2)),
     ("s per s", _number("peer_real_time_factor", 0)),
+    ("its integrator", _plain("peer_integrator")),
     ("ratio", lambda row: _ratio_of_seconds(row)),
 )
+WORDS = ("body", "integrator", "its integrator")
+"""Headings of columns that hold words, not numbers."""
 
 SECTIONS: tuple[tuple[str, str, tuple[Column, ...]], ...] = (
-    (SAME_STEP, "One agent's step: Echelon's, then MuJoCo's of the same length", COLUMNS_A_STEP),
+    (SAME_STEP, "One agent's step of the same length", COLUMNS_A_STEP),
     (LARGEST_STEP, "Seconds of one agent's life a second, each engine at its largest sane step", COLUMNS_A_SECOND),
 )
 """For each measure its title, and headings with units with what stands below them."""
@@ -122,7 +123,7 @@ def print_table(rows: Sequence[Row], console: Console | None = None) -> None:
         table = Table(title=title, box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False, title_justify="left")
         for heading, _ in columns:
             # Brackets hold units here, not markup.
-            table.add_column(Text(heading), justify="left" if heading in ("body", "integrator", "MuJoCo") else "right")
+            table.add_column(Text(heading), justify="left" if heading in WORDS else "right")
         for row in chosen:
             table.add_row(*(text(row) for _, text in columns))
         console.print(table)

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import warp as wp
 
@@ -52,9 +52,9 @@ class FlatTerrain:
     """
 
     data: Any
-    look_up: ClassVar[Any] = look_up_flat
-    level: ClassVar[bool] = True
-    rough: ClassVar[bool] = False
+    look_up: Any = look_up_flat
+    level: bool = True
+    rough: bool = False
 
     @classmethod
     def of(cls, world: WorldSettings, device: wp.DeviceLike = None) -> FlatTerrain:

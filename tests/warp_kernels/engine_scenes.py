@@ -196,11 +196,10 @@ class Flight:
 def start(
     character: Character, q: np.ndarray, u: np.ndarray | None = None, *, angle: float = 0.0, **settings: Any
 ) -> Flight:
-    """An engine with agents in given states on a slope, ready to advance; eight lanes unless told otherwise."""
+    """An engine with agents on a slope, ready to advance; eight lanes and steps of 1/1200 s unless told otherwise."""
     q = np.atleast_2d(q)
-    engine = Engine(
-        character, len(q), SlopedTerrain.of(angle, settings.pop("wall_at", 1e6)), **{"lanes": 8, **settings}
-    )
+    terrain = SlopedTerrain.of(angle, settings.pop("wall_at", 1e6))
+    engine = Engine(character, len(q), terrain, **{"lanes": 8, "substeps": 40, "tick": 5, **settings})
     chunk = ChunkArrays.allocate(1, len(q), character)
     engine.bind(chunk)
     engine.set_q(q)
