@@ -266,26 +266,30 @@ class Program:
         code += "}\n"
         return code + f"for (int i = 0; i < {size}; ++i) S[i] = s[i];\n"
 
-    def _semi_implicit(self) -> str:
-        graph, h = Graph(), self.step
-        state = self._variables(graph)
-        result = evaluate_substep(
+    def _traced(self, graph: Graph, state: AgentState, implicit_step: float) -> SubstepResult:
+        """One substep's physics as expressions; with `implicit_step` zero forces are plain and strains stand still."""
+        return evaluate_substep(
             self.character,
             state,
             self._parameters(graph),
             self._command(graph),
             self._planes(graph),
-            h,
+            self.step,
             self.tick,
-            h,
-            h,
+            implicit_step,
+            implicit_step,
         )
+
+    def _semi_implicit(self) -> str:
+        graph, h = Graph(), self.step
+        state = self._variables(graph)
+        result = self._traced(graph, state, h)
         tree, layout = self.character.body.tree, self.layout
         u = [a + h * b for a, b in zip(state.u, result.qdd, strict=True)]
         q = semi_implicit_positions(tree, state.q, u, h)
         outputs = [(f"s[{layout.q + i}]", graph.lift(value)) for i, value in enumerate(q)]
         outputs += [(f"s[{layout.u + i}]", graph.lift(value)) for i, value in enumerate(u)]
-        outputs += self._strain_outputs(graph, result.strains, "s", 0)
+        outputs += self._strain_outputs(graph, result.strains, "s")
         outputs += self._changed_memory(graph, state, result.memory)
         outputs.append((f"s[{layout.substep}]", graph.lift(state.substep + 1.0)))
         self.substep_operations = operation_count(graph, [value for _, value in outputs])
@@ -296,18 +300,8 @@ class Program:
         # Settle: anchors dragged and released, latches and memory, all at the start of the step.
         graph = Graph()
         state = self._variables(graph)
-        settled = evaluate_substep(
-            self.character,
-            state,
-            self._parameters(graph),
-            self._command(graph),
-            self._planes(graph),
-            h,
-            self.tick,
-            0.0,
-            0.0,
-        )
-        outputs = self._strain_outputs(graph, settled.strains, "s", 0)
+        settled = self._traced(graph, state, 0.0)
+        outputs = self._strain_outputs(graph, settled.strains, "s")
         outputs += self._changed_memory(graph, state, settled.memory)
         self.substep_operations = operation_count(graph, [value for _, value in outputs])
         code = "{\n" + statements(graph, outputs, self.target, "a") + "}\n"
@@ -315,21 +309,11 @@ class Program:
         count = layout.u + body.u_count + sum(strain_count(site) for site in body.contacts)
         graph = Graph()
         state = self._variables(graph, "y")
-        rates = evaluate_substep(
-            self.character,
-            state,
-            self._parameters(graph),
-            self._command(graph),
-            self._planes(graph),
-            h,
-            self.tick,
-            0.0,
-            0.0,
-        )
+        rates = self._traced(graph, state, 0.0)
         q_rate = position_rate(body.tree, state.q, state.u)
         outputs = [(f"d[{layout.q + i}]", graph.lift(value)) for i, value in enumerate(q_rate)]
         outputs += [(f"d[{layout.u + i}]", graph.lift(value)) for i, value in enumerate(rates.qdd)]
-        outputs += self._strain_outputs(graph, rates.strain_rates, "d", 0)
+        outputs += self._strain_outputs(graph, rates.strain_rates, "d")
         self.substep_operations += 4 * operation_count(graph, [value for _, value in outputs])
         fma = self.target.function("fma")
         code += f"lanes y[{count}], total[{count}];\n"
@@ -353,11 +337,9 @@ class Program:
         outputs.append((f"s[{layout.substep}]", graph.lift(state.substep + 1.0)))
         return code + "{\n" + statements(graph, outputs, self.target, "c") + "}\n"
 
-    def _strain_outputs(
-        self, graph: Graph, strains: Sequence[Sequence[Any]], array: str, first: int
-    ) -> list[tuple[str, Expr]]:
+    def _strain_outputs(self, graph: Graph, strains: Sequence[Sequence[Any]], array: str) -> list[tuple[str, Expr]]:
         return [
-            (f"{array}[{start - first + i}]", graph.lift(value))
+            (f"{array}[{start + i}]", graph.lift(value))
             for start, values in zip(self.layout.strain, strains, strict=True)
             for i, value in enumerate(values)
         ]

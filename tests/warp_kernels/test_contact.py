@@ -235,13 +235,13 @@ def test_a_body_lifted_off_is_never_held_back(integration: Integration):
 def foot_with_light_toe(integration: Integration) -> ServoedBody:
     """Five kilograms on heels and a hinged toe of a hundred grams, on sites as stiff as a man's.
 
-    A force at the toe's tip moves fifty grams: damping alone, h c / m, is 25 there at 1/1200 s.
+    A force up or sideways at the toe's tip moves fifty grams: damping alone, h c / m, is 25 and 17 at 1/1200 s.
     """
     heel = Link("foot", None, Joint("root", "free", position=(0.0, 0.0, 0.1)), 5.0, inertia=diagonal(0.05, 0.08, 0.06))
     toe = Link(
         "toe",
         "foot",
-        Joint("hinge", "pin", position=(0.1, 0.0, -0.08), axes=((0.0, 1.0, 0.0),)),
+        Joint("hinge", "universal", position=(0.1, 0.0, -0.08), axes=((0.0, 1.0, 0.0), (0.0, 0.0, 1.0))),
         0.1,
         com=(0.02, 0.0, 0.0),
         inertia=diagonal(4e-5, 4e-5, 4e-5),
@@ -267,7 +267,7 @@ def shoved(integration: Integration, step: float, seconds: float) -> tuple[np.nd
     character = foot_with_light_toe(integration)
     q = np.tile(character.body.q_reference, (3, 1))
     q[:, 2] -= 2e-4
-    u = np.zeros((3, 7))
+    u = np.zeros((3, 8))
     u[:, 0], u[:, 1] = (0.0, 0.2, -0.1), (0.1, 0.0, 0.15)
     run = ReferenceRun(character, q, u, step=step)
     with np.errstate(all="ignore"):
@@ -286,16 +286,17 @@ def test_stiff_friction_under_a_light_toe_converges_with_the_step():
 def test_stiff_friction_under_a_light_toe_comes_to_rest_at_the_usual_step():
     character = foot_with_light_toe("implicit")
     q = np.tile(character.body.q_reference, (8, 1))
-    u = np.zeros((8, 7))
+    u = np.zeros((8, 8))
     u[:, 0], u[:, 1], u[:, 2] = np.linspace(-0.5, 0.5, 8), np.linspace(0.4, -0.2, 8), -0.3
     flight = start(character, q, u)
     fastest = max(float(np.max(np.abs(flight.advance(1).u))) for _ in range(6))
     assert fastest < 4.0
     flight.advance(54)
     assert np.max(np.abs(flight.u)) < 1e-3
-    # Explicitly the same toe has long flown to pieces.
-    _, wild = shoved("explicit", STEP, 0.1)
-    assert not np.max(np.abs(wild)) < 10.0
+    # Explicitly the same toe rattles.
+    _, calm = shoved("implicit", STEP, 0.05)
+    _, wild = shoved("explicit", STEP, 0.05)
+    assert np.max(np.abs(wild)) > 20.0 * np.max(np.abs(calm))
 
 
 # ---- drops -----------------------------------------------------------------------------------------------------------
@@ -418,7 +419,7 @@ def test_a_patch_resists_spinning_up_to_its_limit(integration: Integration):
     flight.advance(48)
     assert np.max(np.abs(flight.u[:2, 5])) < 0.05
     # The patch's spring bears the second's moment at this twist.
-    assert 2.0 * np.arcsin(flight.q[1, 5]) == pytest.approx(0.45 * limit / (20_000.0 * patch**2), rel=0.01)
+    assert 2.0 * np.arcsin(flight.q[1, 5]) == pytest.approx(0.45 * limit / (20_000.0 * patch**2), rel=0.02)
 
 
 # ---- walls -----------------------------------------------------------------------------------------------------------
@@ -454,20 +455,19 @@ def test_a_wall_stops_a_ball_and_bears_a_push(integration: Integration):
 
 # ---- sites that are rarely touched -----------------------------------------------------------------------------------
 @pytest.mark.parametrize("integration", BOTH)
-@pytest.mark.parametrize("lanes", [1, 8])
-def test_rare_sites_give_the_very_bits_of_usual_ones(integration: Integration, lanes: int):
-    """Sixteen blocks, some dropped, some aloft: skipping what nobody touches changes nothing."""
+def test_rare_sites_give_the_very_bits_of_usual_ones(integration: Integration):
+    """Sixteen blocks on two corners, some dropped, some aloft: skipping what nobody touches changes nothing."""
     rng = np.random.default_rng(31)
-    usual = block_body(
-        stiffness=20_000.0, damping=150.0, tangential_damping=200.0, patch_radius=0.02, integration=integration
-    )
+    damper = {"damping": 150.0, "tangential_damping": 150.0}
+    usual = block_body(stiffness=20_000.0, **damper, patch_radius=0.02, integration=integration)
+    usual = replace(usual, contacts=usual.contacts[1:3])
     rare = replace(usual, contacts=tuple(replace(site, use="rare") for site in usual.contacts))
     q = np.tile(usual.q_reference, (16, 1))
     q[:, 2] += rng.uniform(-0.005, 0.1, size=16)
     q[12:, 2] += 9.0
     q[:, 3:6] = rng.uniform(-0.1, 0.1, size=(16, 3))
     q, u = as_float32(usual.normalized(q)), as_float32(0.5 * rng.normal(size=(16, 6)))
-    flights = [start(passive(body), q, u, lanes=lanes, angle=0.1) for body in (usual, rare)]
+    flights = [start(passive(body), q, u, angle=0.1) for body in (usual, rare)]
     for _ in range(12):
         a, b = (flight.advance(1).engine.full_state() for flight in flights)
         for key in ("state", "origins"):
