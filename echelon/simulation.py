@@ -84,7 +84,11 @@ class Simulation:
         )
         self.frame = 0
         self.counts = dict.fromkeys(EVENT_NAMES, 0)
-        self._passed = np.zeros(2, dtype=np.int32)  # gates and collisions that the referee had counted before
+        self._passed: tuple[int, ...] = (0, 0)  # gates and collisions that the referee had counted before
+        # On a CPU the referee's counts and the collie's pose are read where they are, without asking Warp each frame.
+        collie = self.group.collie
+        self._totals_here = self.group.referee.arrays.totals.numpy() if device == "cpu" else None
+        self._pose_here = collie.arrays.pose.numpy() if collie is not None and device == "cpu" else None
 
     def _populate(self) -> None:
         crowd = self.scenario.crowd
@@ -118,7 +122,7 @@ class Simulation:
         self.group.load_state(parts["group"])
         self.counts = dict(zip(self.counts, map(int, state["counts"]), strict=True))
         self.frame = frame
-        self._passed = self._referee()[2:4].copy()
+        self._passed = tuple(self._referee().tolist()[2:4])
 
     def state_hash(self) -> str:
         """SHA-256 of the present state: equal for equal runs."""
@@ -130,7 +134,7 @@ class Simulation:
 
     def _referee(self) -> np.ndarray:
         """What the referee has counted (`echelon.flocking.referee.TOTALS`)."""
-        return self.group.referee.arrays.totals.numpy()
+        return self.group.referee.arrays.totals.numpy() if self._totals_here is None else self._totals_here
 
     # ---- frames ----------------------------------------------------------------------------------------------------
     def advance(self, slot: int, seen: GroupFrames) -> None:
@@ -140,13 +144,14 @@ class Simulation:
         """
         self.engine.advance(slot, observe_only=self.frame == 0)
         if self.group.collie is not None:
-            seen.actor_poses[slot, 0] = self.group.collie.arrays.pose.numpy()[0]
+            pose = self.group.collie.arrays.pose.numpy() if self._pose_here is None else self._pose_here
+            seen.actor_poses[slot, 0] = pose[0]
         self._see_and_want(self.frame)
-        totals = self._referee()
-        seen.in_corral[slot] = totals[0]
-        if totals[2] != self._passed[0] or totals[3] != self._passed[1]:
+        inside, _, gates, collisions = self._referee().tolist()
+        seen.in_corral[slot] = inside
+        if (gates, collisions) != self._passed:
             self._note(seen)
-            self._passed[:] = totals[2:4]
+            self._passed = (gates, collisions)
         self.frame += 1
 
     def _see_and_want(self, frame: int) -> None:
@@ -170,7 +175,7 @@ class Simulation:
         for frame in range(count):
             self.engine.advance(0, observe_only=frame == 0)
             self._see_and_want(frame - count)
-        self._passed = self._referee()[2:4].copy()
+        self._passed = tuple(self._referee().tolist()[2:4])
 
     @property
     def penned(self) -> bool:

@@ -11,7 +11,7 @@ What it shows:
 How to run it, in an environment where Echelon is installed:
 
     python examples/herd.py                        sixteen robots, until they are penned
-    python examples/herd.py --agents 40 --seconds 20 --out /tmp/forty
+    python examples/herd.py --agents 40 --seconds 20 --out forty
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ MALFORMED: list[tuple[str, str | bytes, str]] = [
     ("negative seed", "seed = -1", "at least 0"),
     ("seed beyond 31 bits", "seed = 2147483648", "at most 2147483647"),
     ("negative radius", "[herd]\nradius = -0.35", "herd.radius"),
-    ("no substeps", "[engine]\nsubsteps = 0", "at least 1"),
+    ("fewer than no substeps", "[engine]\nsubsteps = -6", "at least 0"),
     ("negative threads", "[engine]\nthreads = -2", "at least 0"),
     ("lanes of no machine", "[engine]\nlanes = 3", "0, 1, 4, 8, 16"),
     ("tick that does not divide", "[engine]\nsubsteps = 40\ntick = 7", "must divide the substeps"),

@@ -120,10 +120,12 @@ def print_table(rows: Sequence[Row], console: Console | None = None) -> None:
         chosen = [row for row in rows if row["measure"] == measure]
         if not chosen:
             continue
-        table = Table(title=title, box=box.SIMPLE_HEAD, collapse_padding=True, pad_edge=False, title_justify="left")
-        for heading, _ in columns:
-            # Brackets hold units here, not markup.
-            table.add_column(Text(heading), justify="left" if heading in WORDS else "right")
+        table = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), title_justify="left")
+        for heading, text in columns:
+            # As narrow as can be, for narrow terminals: headings wrap, what stands below them does not. Brackets hold
+            # units here, not markup.
+            width = max(map(len, [*heading.split(), *(text(row) for row in chosen)]))
+            table.add_column(Text(heading), justify="left" if heading in WORDS else "right", width=width)
         for row in chosen:
             table.add_row(*(text(row) for _, text in columns))
         console.print(table)
@@ -199,6 +201,7 @@ on one core. The two take turns second by second, and what stands here are media
 * **hopper**: our whole substep (control, contact, dynamics, integration) while robots hop at 0, 1 and 2 m/s in all
   directions. MuJoCo's step is of the same body, set down on its foot again and again so that it is in contact, with
   leg spring and hip springs, but without control, joint limits or walls.
+  Contact sites are ours / MuJoCo's: foot, belly and the sphere that walls stop, which MuJoCo does without.
 * **male**, **female**: servos and dynamics in free flight, 53 degrees of freedom. MuJoCo has a spring and damper of the
   same gains at every joint; its constraints are switched off.
 

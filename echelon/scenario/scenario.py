@@ -273,7 +273,7 @@ class EngineSettings:
     """
 
     substeps: Annotated[int, Within(at_least=0, at_most=10_000)] = 0
-    tick: Annotated[int, Within(at_least=1, at_most=10_000)] = 3
+    tick: Annotated[int, Within(at_least=1, at_most=10_000)] = 6
     integrator: Literal["semi-implicit", "rk4"] = "semi-implicit"
     precision: Literal["float32"] = "float32"
     lanes: Literal[0, 1, 4, 8, 16] = 0

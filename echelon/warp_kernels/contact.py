@@ -22,8 +22,8 @@ d) that terrain hands in. The contact point is the site's deepest.
   strain, the displacement from the anchor [m], as a vector in the world: it needs no rebasing when the origin floats.
   Its rate is the velocity of the material point that touches, so the same law serves a foot and a rolling wheel.
   Where spring and damper ask for more than friction times load the foot slides, and the anchor is dragged along. The
-  implicit term while sliding is the derivative of the projection on the friction cone: it keeps the direction steady
-  and leaves the magnitude, Coulomb's, alone.
+  implicit term while sliding is the derivative of the projection on the friction cone, which keeps the direction
+  steady, and along it only as much as stops something light and slow within a step: the magnitude stays Coulomb's.
 * **Spin**: a patch of some radius resists turning about the normal in the same way, by friction times load times
   2/3 of its radius (a disc under even pressure).
 * **Rolling** resistance is a moment against any turning, a lever arm times the load: what brings a fallen body to rest
@@ -55,7 +55,7 @@ from echelon.warp_kernels.spatial import (
     subtract,
     transpose,
 )
-from echelon.warp_kernels.trace import clamp, guarded, maximum, minimum, select, sqrt
+from echelon.warp_kernels.trace import absolute, clamp, guarded, maximum, minimum, select, sqrt
 
 PEEL_ACCELERATION = 30.0
 """Up to this acceleration of the site away from the ground, contact never pulls [m/s^2].
@@ -280,25 +280,28 @@ def _friction(
     s = _tangential(s, dot(s, n), n)
     trial = add(scale(k, s), scale(c + step * k, v_t))
     size = sqrt(dot(trial, trial))
-    sliding = limit < size
+    sliding = limit <= size  # in the air as well, where both may be zero
     inverse_size = 1.0 / maximum(size, 1e-9)
     ratio = select(sliding, limit * inverse_size, 1.0)
     force = scale(-ratio, trial)
     B = NO_MATRIX
     if not is_zero(step):
-        # Sticking: B_t (1 - n n^T); sliding, B_t (1 - n n^T - t t^T), the derivative of the projection on the cone.
+        # Sticking: B_t (1 - n n^T). Sliding: B_t (1 - n n^T - t t^T), the derivative of the projection on the cone, and
+        # along t so much that friction stops what is light and slow within a step, but does not throw it back.
         B_t = ratio * (step * (c + step * k))
-        across = select(sliding, B_t, 0.0)
+        B_along = minimum(B_t, step * limit / maximum(norm(v_t), 1e-9))
+        less = select(sliding, B_t - B_along, 0.0)
         t = apply_transposed(rotation, scale(inverse_size, trial))
         B = [
-            [B_t * ((1.0 if i == j else 0.0) - normal[i] * normal[j]) - across * (t[i] * t[j]) for j in range(3)]
+            [B_t * ((1.0 if i == j else 0.0) - normal[i] * normal[j]) - less * (t[i] * t[j]) for j in range(3)]
             for i in range(3)
         ]
-    # Sliding drags the anchor: spring and damper together give just the limit.
+    # Sliding drags the anchor: spring and damper together give just the limit, the spring what the damper leaves of it.
     touching = N > 0.0
+    left = maximum(limit - c * (dot(v_t, trial) * inverse_size), 0.0) * (inverse_size * (1.0 / k))
     new: Vector = []
     for i in range(3):
-        dragged = (-force[i] - c * v_t[i]) * (1.0 / k)
+        dragged = left * trial[i]
         new.append(0.0 if is_zero(v_t[i]) else select(touching, select(sliding, dragged, s[i]), 0.0))
     return force, B, new
 
@@ -316,10 +319,14 @@ def _spin_friction(
     twist = strain[3] + advance * rate
     trial = k * twist + (c + step * k) * rate
     moment = -clamp(trial, -limit, limit)
-    sticking = select(limit < trial, 0.0, select(trial < -limit, 0.0, 1.0))
-    B = sticking * (step * (c + step * k)) if not is_zero(step) else 0.0
-    dragged = (-moment - c * rate) * (1.0 / k)
-    new = select(N > 0.0, select(sticking < 0.5, dragged, twist), 0.0)
+    sliding = (limit <= trial) | (trial <= -limit)
+    B: Any = 0.0
+    if not is_zero(step):
+        B = step * (c + step * k)
+        B = select(sliding, minimum(B, step * limit / maximum(absolute(rate), 1e-9)), B)
+    left = -moment - c * rate
+    dragged = select(left * moment < 0.0, left * (1.0 / k), 0.0)
+    new = select(N > 0.0, select(sliding, dragged, twist), 0.0)
     return moment, (B, new)
 
 
@@ -378,17 +385,21 @@ def spring_forces(kin: Kinematics, model: Model) -> dict[int, list[tuple[Vector,
         rate = subtract(ends[1][2], ends[0][2])
         if spring.rest_length == 0.0:
             on_a = add(scale(spring.stiffness, gap), scale(spring.damping, rate))
+            # Not along the gap, so both act in its middle: angular momentum is kept.
+            arms = scale(0.5, gap), scale(-0.5, gap)
         else:
             length = sqrt(maximum(dot(gap, gap), 1e-12))
             along = scale(1.0 / length, gap)
             on_a = scale(spring.stiffness * (length - spring.rest_length) + spring.damping * dot(rate, along), along)
-        for (name, _, _, position), force in zip(ends, (on_a, negate(on_a)), strict=True):
+            arms = None, None
+        for (name, _, _, position), force, arm in zip(ends, (on_a, negate(on_a)), arms, strict=True):
             if name is None:
                 continue
             link = model.link_index(name)
             rotation, _ = kin.world(kin.tree.node_of_link[link])
             local = apply_transposed(rotation, force)
-            result.setdefault(link, []).append((cross(position, local), local))
+            point = position if arm is None else add(position, apply_transposed(rotation, arm))
+            result.setdefault(link, []).append((cross(point, local), local))
     return result
 
 

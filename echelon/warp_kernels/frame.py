@@ -135,7 +135,7 @@ class Engine:
         *,
         frame_rate: int = 30,
         substeps: int = 24,
-        tick: int = 3,
+        tick: int = 6,
         integrator: Integrator = "semi-implicit",
         lanes: int = 0,
         threads: int = 0,
@@ -373,6 +373,11 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
     event_count = len(program.character.events)
     command_count = len(program.character.commands)
     free_root = body.links[0].joint.kind == "free"
+    # The origin stays where it is for a body that is tied to the world, and takes other free roots along.
+    floats = free_root and all(None not in (spring.link_a, spring.link_b) for spring in body.springs)
+    later_roots = [layout.q + body.q_start(i) for i in range(1, link_count) if body.links[i].joint.kind == "free"]
+    later_root_count = len(later_roots)
+    later_root_places = wp.types.vector(length=max(later_root_count, 1), dtype=wp.int32)(*(later_roots or [0]))
     phase_at, fallen_at, loaded_at = (layout.memory[name] for name in ("phase", "fallen", "loaded"))
     frozen_at = layout.frozen
     root_q = layout.q
@@ -446,10 +451,14 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
         tick_count = clock[1]
         for lane in range(lanes):
             agent = block * lanes + lane
-            if wp.static(free_root):
+            if wp.static(floats):
                 for axis in range(3):
-                    origins[agent, axis] = origins[agent, axis] + wp.float64(state[block, root_q + axis, lane])
+                    shift = state[block, root_q + axis, lane]
+                    origins[agent, axis] = origins[agent, axis] + wp.float64(shift)
                     state[block, root_q + axis, lane] = wp.float32(0.0)
+                    for root in range(later_root_count):
+                        place = later_root_places[root] + axis
+                        state[block, place, lane] = state[block, place, lane] - shift
             for part in range(command_count):
                 command_lanes[block, part, lane] = command[wp.min(agent, agent_count - 1), part]
         begin(state, backup, block)

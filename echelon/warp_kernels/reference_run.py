@@ -6,7 +6,7 @@ are tested against it, and `diverging_probe` says where the two part.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,8 +47,8 @@ class ReferenceRun:
         tick: Substeps a control tick.
         integrator: "semi-implicit" or "rk4".
         planes: (n_x, n_y, n_z, d) of the plane under each contact site [m]; level ground at z = 0 if not given.
-        command: Commands by name.
-        parameters: Parameters by name; the character's usual ones where not given.
+        command: Commands by name, one number or one an agent; zero where not given.
+        parameters: Parameters by name, likewise; the character's usual ones where not given.
     """
 
     def __init__(
@@ -61,8 +61,8 @@ class ReferenceRun:
         tick: int = 5,
         integrator: Integrator = "semi-implicit",
         planes: Sequence[Sequence[float]] | None = None,
-        command: dict[str, float] | None = None,
-        parameters: dict[str, float] | None = None,
+        command: Mapping[str, float | np.ndarray] | None = None,
+        parameters: Mapping[str, float | np.ndarray] | None = None,
     ) -> None:
         self.character = character
         self.step = step

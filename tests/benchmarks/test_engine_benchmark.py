@@ -136,6 +136,8 @@ def test_the_table_has_units_and_says_where_it_was_measured():
     table = printed([row])
     assert "µs" in table
     assert "[ms]" in table
+    for value in (f"{row['substep_us']:.4f}", f"{row['peer_step_us']:.2f}", f"{row['ratio']:,.1f}", "semi-implicit"):
+        assert value in table
     flat = " ".join(table.split())
     assert row["machine"] in flat
     assert row["versions"] in flat

@@ -3,7 +3,4 @@
 import sys
 from pathlib import Path
 
-import warp as wp
-
 sys.path.append(str(Path(__file__).parent))
-wp.config.quiet = True

@@ -1,5 +1,8 @@
 """Small bodies, sloping ground and short ways to run them, shared by the engine's tests."""
 
+# pyright: reportGeneralTypeIssues=false
+# (Warp's types mean other things to it than to Python.)
+
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
@@ -40,7 +43,7 @@ def free_link(
 def ball_body(radius: float = 0.2, mass: float = 3.0, **site: Any) -> Body:
     """A solid sphere that touches with its surface."""
     moment = 0.4 * mass * radius**2
-    contact = ContactSite("skin", "link", (0.0, 0.0, 0.0), radii=(radius,) * 3, **site)
+    contact = ContactSite("skin", "link", (0.0, 0.0, 0.0), radii=(radius, radius, radius), **site)
     return free_link(mass, diagonal(moment, moment, moment), [contact], height=radius, name="ball")
 
 
@@ -141,9 +144,9 @@ class SlopedTerrain:
     """A plane through the world's origin that falls along +x, and a wall."""
 
     data: Any
-    look_up = look_up_slope
-    level = False
-    rough = False
+    look_up: Any = look_up_slope
+    level: bool = False
+    rough: bool = False
 
     @classmethod
     def of(cls, angle: float, wall_at: float = 1e6) -> SlopedTerrain:
