@@ -508,7 +508,8 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
 
 
 def _module_options(program: Program) -> dict[str, Any]:
-    options: dict[str, Any] = {"enable_backward": False}
+    # Unrolling the loops over lanes would only make more to compile.
+    options: dict[str, Any] = {"enable_backward": False, "max_unroll": 1}
     if not program.target.cuda:
         options["cpu_compiler_flags"] = cpu_compiler_flags(program.target.lanes)
     return options

@@ -185,9 +185,11 @@ class Flight:
     @property
     def q(self) -> np.ndarray:
         """Generalised positions in the world, float64, shape [agents, q_count]."""
-        q = self.engine.q.astype(float)
-        if self.engine.character.body.links[0].joint.kind == "free":
-            q[:, :3] += self.engine.origins.numpy()[: self.engine.agent_count]
+        q, body = self.engine.q.astype(float), self.engine.character.body
+        for index, link in enumerate(body.links):
+            if link.joint.kind == "free":
+                at = body.q_start(index)
+                q[:, at : at + 3] += self.engine.origins.numpy()[: self.engine.agent_count]
         return q
 
     @property
