@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import re
 import shlex
@@ -21,7 +22,7 @@ from echelon.scenario.files import scenario_names
 from echelon.warp_kernels.model import Model
 
 ROOT = Path(__file__).parents[1]
-PAGES = (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")))
+PAGES = (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md")))
 PICTURES = tuple(sorted((ROOT / "docs" / "images").glob("*")))
 
 RUN = (
@@ -31,6 +32,10 @@ RUN = (
 TEST = 'python3 -m venv .venv && .venv/bin/pip install -e ".[test]" && .venv/bin/python -m pytest'
 
 COMMANDS: Any = typer.main.get_command(app)
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -56,7 +61,9 @@ def parsed(words: list[str]) -> tuple[str, dict[str, Any]]:
     return name, COMMANDS.commands[name].make_context(name, arguments).params
 
 
-LINES = [pytest.param(words, id=f"{page.name}: {shlex.join(words)}") for page in PAGES for words in command_lines(page)]
+LINES = [
+    pytest.param(words, id=f"{name_of(page)}: {shlex.join(words)}") for page in PAGES for words in command_lines(page)
+]
 
 
 # ---- the two commands ------------------------------------------------------------------------------------------------
@@ -98,7 +105,7 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere(page: Path) -> None:
     for link in links(page):
         if link.startswith("https://"):
@@ -163,7 +170,7 @@ def test_words_in_running_text_that_look_like_commands_are() -> None:
 
 
 # ---- files and code --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_toml_is_a_scenario_or_a_body(page: Path) -> None:
     for text in blocks(page, "toml"):
         data = tomllib.loads(text)
@@ -184,7 +191,7 @@ def test_sdfast_example_is_a_body(tmp_path: Path) -> None:
     assert echelon.load_body(tmp_path / "leg.sd").link_names == ("trunk", "thigh")
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=name_of)
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All Python of a page, from top to bottom, in a folder where there is a recording."""
     monkeypatch.chdir(tmp_path)
@@ -220,6 +227,27 @@ def test_tables_have_every_key_of_a_scenario() -> None:
     for name, data in tables.items():
         keys = re.findall(r"^\| `(\w+)` \|", module.table(module.TABLES[name]), flags=re.M)
         assert keys == [key for key, value in data.items() if not isinstance(value, dict)], name
+
+
+def test_figures_of_the_engine_are_those_of_the_benchmark() -> None:
+    """The table in the README, to two digits, against one of the machines that were measured."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^\| (\w+) \|.*\| ([\d.]+) µs \| ([\d.]+) µs \| (\d+) \|$", text, flags=re.M)
+    assert [body for body, *_ in shown] == ["hopper", "male", "female"]
+    machines = sorted((ROOT / "docs" / "benchmarks").glob("*/engine.csv"))
+    measured = [same_step(machine) for machine in machines]
+    assert any(
+        all(found[body] == pytest.approx([float(figure) for figure in figures], rel=0.05) for body, *figures in shown)
+        for found in measured
+    ), f"README has {shown}, measured were {measured}"
+
+
+def same_step(table: Path) -> dict[str, list[float]]:
+    """Of each body under the default integrator: our time and the peer's [us], and their ratio."""
+    with open(table, encoding="utf-8", newline="") as lines:
+        rows = [row for row in csv.DictReader(lines) if row["measure"] == "same step"]
+    columns = ("substep_us", "peer_step_us", "ratio")
+    return {row["body"]: [float(row[name]) for name in columns] for row in rows if row["integrator"] == "semi-implicit"}
 
 
 # ---- the changelog and the package -----------------------------------------------------------------------------------

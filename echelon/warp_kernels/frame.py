@@ -454,11 +454,13 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
             if wp.static(floats):
                 for axis in range(3):
                     shift = state[block, root_q + axis, lane]
-                    origins[agent, axis] = origins[agent, axis] + wp.float64(shift)
-                    state[block, root_q + axis, lane] = wp.float32(0.0)
-                    for root in range(later_root_count):
-                        place = later_root_places[root] + axis
-                        state[block, place, lane] = state[block, place, lane] - shift
+                    # What is not finite stays in the state, where it will be noticed.
+                    if wp.isfinite(shift):
+                        origins[agent, axis] = origins[agent, axis] + wp.float64(shift)
+                        state[block, root_q + axis, lane] = wp.float32(0.0)
+                        for root in range(later_root_count):
+                            place = later_root_places[root] + axis
+                            state[block, place, lane] = state[block, place, lane] - shift
             for part in range(command_count):
                 command_lanes[block, part, lane] = command[wp.min(agent, agent_count - 1), part]
         begin(state, backup, block)
