@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from echelon.settings import to_toml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -19,6 +18,7 @@ from echelon.errors import InputError
 from echelon.scenario import CollieSettings, CrowdSettings, HerdSettings, Scenario, ShotSettings, WorldSettings
 from echelon.scenario.files import scenario_names
 from echelon.scenario.starting_places import hexagonal_places, overlapping_pair
+from echelon.settings import to_toml
 
 # Each: what is wrong, the file, and what the line must say.
 MALFORMED: list[tuple[str, str | bytes, str]] = [

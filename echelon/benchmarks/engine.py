@@ -45,11 +45,11 @@ TRIAL_AGENTS = 96  # on the ladder
 TRIAL_ROUNDS = 10
 CHOOSING_ROUNDS = 3  # in which MuJoCo's integrators compete
 
-LADDER = (STRIDE, Stride(16, 2), Stride(8, 1))
-"""From small steps to large, all with 240 control ticks a second."""
+LADDER = (STRIDE, Stride(16, 4), Stride(8, 2))
+"""From small steps to large, all with 120 control ticks a second."""
 FLIGHT_LADDER = (STRIDE, Stride(16, 2), Stride(10, 1), Stride(8, 1), Stride(4, 1))
 RUNGE_KUTTA_STRIDE = Stride(40, 5)  # a step at which MuJoCo's is stable too
-PEER_LADDER = (1 / 720, 1 / 480, 1 / 300, 1 / 240)
+PEER_LADDER = (1 / 720, 1 / 480, 1 / 300, 1 / 240, 1 / 120)
 """Of MuJoCo where there is control: a step longer than a tick would let it act less often [s]."""
 PEER_FLIGHT_LADDER = (*PEER_LADDER, 1 / 180, 1 / 120, 1 / 60)
 

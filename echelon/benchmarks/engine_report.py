@@ -215,7 +215,7 @@ up to which it stayed sane, and "s per s" is how many seconds of one agent's lif
 drifts by at most 2 % a second and the energy about the centre of mass does not rise by more than 1 %. Our hoppers must
 all stand and hold their mean velocity within 0.15 m/s, over 20 s (10 s on the ladder). MuJoCo's hopper, which has no
 control, must not fall and its energy must not rise, set down and dropped from a hop's height; its step is no longer
-than the 1/240 s in which control must be able to act. A run that is not sane has no rate.
+than the 1/120 s in which control must be able to act. A run that is not sane has no rate.
 
 Compilation is timed from a character to a kernel that can be launched, with an empty kernel cache but after Warp's own
 start-up and precompiled header, and again in the next process, from the cache.

@@ -54,8 +54,8 @@ class Stride:
         return 1.0 / (FRAME_RATE * self.substeps)
 
 
-STRIDE = Stride(substeps=24, tick=3)
-"""The engine's usual one: 1/720 s, a control tick every 1/240 s."""
+STRIDE = Stride(substeps=24, tick=6)
+"""The engine's usual one: 1/720 s, a control tick every 1/120 s."""
 
 
 class Run(Protocol):
