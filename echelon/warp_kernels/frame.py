@@ -510,8 +510,9 @@ def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool
 
 
 def _module_options(program: Program) -> dict[str, Any]:
-    # Unrolling the loops over lanes would only make more to compile.
-    options: dict[str, Any] = {"enable_backward": False, "max_unroll": 1}
+    # Unrolling the loops over lanes would only make more to compile. Multiply-adds stand in the code (see `emit`),
+    # and the compilers, CUDA's too, are to make no others.
+    options: dict[str, Any] = {"enable_backward": False, "max_unroll": 1, "fuse_fp": False}
     if not program.target.cuda:
         options["cpu_compiler_flags"] = cpu_compiler_flags(program.target.lanes)
     return options

@@ -1,7 +1,7 @@
 """The frame loop in float64 NumPy: the same controller, contacts and dynamics, to be stepped through in a debugger.
 
 It calls the functions that are traced into native code, in the same order; what differs is the arithmetic. The lanes
-are tested against it, and `diverging_probe` says where the two part.
+are tested against it, and `probes.divergence_of_lanes` says where the two part.
 """
 
 from __future__ import annotations

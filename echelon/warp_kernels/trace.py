@@ -309,7 +309,6 @@ def probe(name: str, value: Scalar) -> None:
     entry = Probe(name, value, f"{frame.f_code.co_filename}:{frame.f_lineno}")
     if isinstance(value, Expr):
         value.graph.probes.append(entry)
-        return
     recorder = _recorder.get()
     if recorder is not None:
         recorder.append(entry)
@@ -317,7 +316,7 @@ def probe(name: str, value: Scalar) -> None:
 
 @contextmanager
 def record_probes() -> Iterator[list[Probe]]:
-    """Collect what `probe` is called with while NumPy computes."""
+    """Collect what `probe` is called with, while NumPy computes or a graph is built."""
     entries: list[Probe] = []
     token = _recorder.set(entries)
     try:

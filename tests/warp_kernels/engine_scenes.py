@@ -17,11 +17,10 @@ from echelon.agents.bodies import load_body
 from echelon.agents.hopper import Hopper
 from echelon.agents.servo import ServoedBody
 from echelon.warp_kernels.character import Character
-from echelon.warp_kernels.emit import Target, cpu_compiler_flags, statements
 from echelon.warp_kernels.frame import ChunkArrays, Engine
 from echelon.warp_kernels.model import AXIS_COUNT, ContactSite, Joint, JointKind, Link, Matrix3, Vec3
+from echelon.warp_kernels.native import NativeFunction
 from echelon.warp_kernels.reference import Body
-from echelon.warp_kernels.trace import Graph
 
 STEP = 1.0 / 1200.0
 GRAVITY = 9.80665
@@ -212,38 +211,7 @@ def start(
     return Flight(engine, chunk)
 
 
-def emitted(function: Callable[[list[Any]], Sequence[Any]], lanes: int) -> Callable[[np.ndarray], np.ndarray]:
-    """A function of scalars as native code: takes [agents, inputs], gives [agents, outputs] in float32."""
-
-    def run(inputs: np.ndarray) -> np.ndarray:
-        count = -(-len(inputs) // lanes)
-        padded = np.concatenate([inputs, np.repeat(inputs[-1:], count * lanes - len(inputs), axis=0)])
-        blocks = padded.astype(np.float32).reshape(count, lanes, -1).transpose(0, 2, 1)
-        values = wp.array(np.ascontiguousarray(blocks), dtype=wp.float32, device="cpu")
-        kernel, size = _compiled(function, inputs.shape[1], lanes)
-        found = wp.zeros((count, size, lanes), dtype=wp.float32, device="cpu")
-        wp.launch(kernel, dim=count, inputs=[values], outputs=[found], device="cpu")
-        return found.numpy().transpose(0, 2, 1).reshape(-1, size)[: len(inputs)].astype(float)
-
-    return run
-
-
 @cache
-def _compiled(function: Callable[[list[Any]], Sequence[Any]], input_count: int, lanes: int) -> tuple[Any, int]:
-    graph, target = Graph(), Target(lanes)
-    outputs = [graph.lift(value) for value in function([graph.input(f"x[{i}]") for i in range(input_count)])]
-    code = target.preamble
-    code += f"lanes_in_memory* x = (lanes_in_memory*)(values.data) + (size_t)block * {input_count};\n"
-    code += f"lanes_in_memory* y = (lanes_in_memory*)(found.data) + (size_t)block * {len(outputs)};\n"
-    code += statements(graph, [(f"y[{i}]", value) for i, value in enumerate(outputs)], target)
-
-    @wp.func_native(code)
-    def evaluate(values: wp.array3d[wp.float32], found: wp.array3d[wp.float32], block: int): ...
-
-    options = {"enable_backward": False, "cpu_compiler_flags": cpu_compiler_flags(lanes)}
-
-    @wp.kernel(module="unique", module_options=options, enable_backward=False)
-    def evaluate_all(values: wp.array3d[wp.float32], found: wp.array3d[wp.float32]):
-        evaluate(values, found, wp.tid())
-
-    return evaluate_all, len(outputs)
+def emitted(function: Callable[[list[Any]], Sequence[Any]], input_count: int, lanes: int) -> NativeFunction:
+    """A function of scalars as native code, compiled once for all tests."""
+    return NativeFunction(function, input_count, lanes)

@@ -113,10 +113,9 @@ def test_a_block_sticks_below_the_friction_angle(integration: Integration, integ
         assert np.linalg.norm(flight.advance(30).q[0, :3] - settled) < 5e-6
 
 
-@pytest.mark.parametrize("damping", [0.0, 1000.0])
-def test_a_sliding_block_pressed_down_is_braked_by_all_the_friction_there_is(damping: float):
+def test_a_sliding_block_pressed_down_is_braked_by_all_the_friction_there_is():
     """Where the damper alone asks for more than the limit, the spring must not lean the other way when it lets off."""
-    body = block_body(mass=BLOCK_MASS, stiffness=60_000.0, damping=200.0, tangential_damping=damping, friction=0.8)
+    body = block_body(mass=BLOCK_MASS, stiffness=60_000.0, damping=200.0, tangential_damping=1000.0, friction=0.8)
     q = body.q_reference.copy()
     q[2] -= BLOCK_MASS * GRAVITY / 4.0 / 60_000.0
     flight = start(Pulled(body), q, np.array([1.5, 0.0, 0.0, 0.0, 0.0, 0.0]), frame_rate=1200, substeps=1, tick=1)
@@ -332,7 +331,7 @@ def test_stiff_friction_under_a_light_toe_comes_to_rest_at_the_usual_step():
 
 # ---- drops -----------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("integration", BOTH)
-@pytest.mark.parametrize("damping", [0.0, 60.0, 400.0])
+@pytest.mark.parametrize("damping", [0.0, 400.0])
 def test_a_dropped_ball_rests_as_deep_as_its_weight_presses_it(integration: Integration, damping: float):
     """Energy, that of the dent included, never rises; without damping it is kept, in bounce after bounce."""
     stiffness, drop = 20_000.0, 0.2
@@ -363,7 +362,8 @@ def test_a_dropped_ball_rests_as_deep_as_its_weight_presses_it(integration: Inte
 
 
 def test_a_block_dropped_askew_comes_to_rest_on_its_four_corners():
-    body = block_body(stiffness=20_000.0, damping=150.0, friction=0.6)
+    character = slope_block("implicit")
+    body = character.body
     q = np.tile(body.q_reference, (8, 1))
     rng = np.random.default_rng(8)
     q[:, 2] += 0.15
@@ -381,7 +381,7 @@ def test_a_block_dropped_askew_comes_to_rest_on_its_four_corners():
 @pytest.mark.parametrize("integration", BOTH)
 @pytest.mark.parametrize("integrator", ["semi-implicit", "rk4"])
 def test_a_ball_rolls_down_a_slope_without_slip(integration: Integration, integrator: Integrator):
-    """a = 5/7 g sin(angle); where friction is too small for that it slips, and spins up by what friction there is."""
+    """a = 5/7 g sin(angle)."""
     angle, radius = 0.25, 0.2
     body = ball_body(stiffness=40_000.0, damping=400.0, friction=0.6, integration=integration)
     depth = body.mass * GRAVITY * np.cos(angle) / 40_000.0
@@ -394,8 +394,15 @@ def test_a_ball_rolls_down_a_slope_without_slip(integration: Integration, integr
         flight.advance(15)
     assert (speeds[2] - speeds[0]) == pytest.approx(5.0 / 7.0 * GRAVITY * np.sin(angle), rel=0.002)
     np.testing.assert_allclose(speeds, np.array(spins) * radius, rtol=1e-4)
-    slippery = replace(body, contacts=(replace(body.contacts[0], friction=0.04),))
-    flight = start(passive(slippery), q, angle=angle, integrator=integrator).advance(30)
+
+
+@pytest.mark.parametrize("integration", BOTH)
+def test_a_ball_slips_where_friction_is_too_small_to_roll_it(integration: Integration):
+    """It slides as a block does, and is spun up by what friction there is."""
+    angle, radius = 0.25, 0.2
+    body = ball_body(stiffness=40_000.0, damping=400.0, friction=0.04, integration=integration)
+    q = on_slope(body, angle, radius - body.mass * GRAVITY * np.cos(angle) / 40_000.0)
+    flight = start(passive(body), q, angle=angle).advance(30)
     assert flight.u[0, :3] @ downhill(angle) == pytest.approx(
         GRAVITY * (np.sin(angle) - 0.04 * np.cos(angle)), rel=0.01
     )
@@ -521,10 +528,10 @@ def test_a_bouncing_ball_touches_once_a_bounce():
     """The load is positive in one stretch a bounce: no chatter at touchdown or liftoff."""
     body = ball_body(stiffness=20_000.0, damping=30.0)
     q = body.q_reference.copy()
-    q[2] += 0.1
+    q[2] += 0.04
     run = ReferenceRun(passive(body), q[None], np.zeros((1, 6)), step=STEP)
     loads, dented = [], []
-    for _ in range(700):
+    for _ in range(360):
         forces, _, _ = site_forces(run)
         loads.append(bool(forces[0][0] > 0.0))
         dented.append(bool(run.state.q[2][0] < 0.2))

@@ -46,7 +46,7 @@ def pendulum(damping: float = 0.0) -> ServoedBody:
 # ---- order -----------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("integrator", "seconds", "step", "least", "most"),
-    [("rk4", 0.08, 1 / 100, 3.5, 5.0), ("semi-implicit", 0.08, 1 / 400, 0.85, 1.15)],
+    [("rk4", 0.05, 1 / 100, 3.5, 5.0), ("semi-implicit", 0.04, 1 / 400, 0.85, 1.15)],
 )
 def test_order_by_step_halving(integrator: Integrator, seconds: float, step: float, least: float, most: float):
     """Every joint there is, swinging and held by servos: differences between one step length and half of it."""
@@ -137,7 +137,7 @@ def test_runge_kutta_keeps_energy():
     body = character.body
     q, u = random_motion(body, 4, seed=6, angle=0.3, speed=1.0)
     before = total_energy(body, q, u)
-    after = total_energy(body, *run_for(character, q, u, "rk4", 0.1, 1 / 600))
+    after = total_energy(body, *run_for(character, q, u, "rk4", 0.05, 1 / 600))
     kinetic = body.energy(q, u)[:, 0]
     assert np.max(np.abs(after - before) / kinetic) < 1e-6
 

@@ -63,7 +63,8 @@ def largest_relative_error(found: np.ndarray, expected: np.ndarray) -> float:
 def test_accelerations(name: str):
     body = body_named(name)
     q, u, tau = random_states(body, STATES, seed=11)
-    found = emitted(Accelerations(body), 8)(np.concatenate([q, u, tau], axis=1))
+    inputs = np.concatenate([q, u, tau], axis=1)
+    found = emitted(Accelerations(body), inputs.shape[1], 8)(inputs)
     assert largest_relative_error(found, body.forward_dynamics(q, u, tau)) <= 3e-6
 
 
@@ -103,8 +104,7 @@ def in_flight(name: str, integrator: Integrator, substeps: int) -> tuple[Flight,
         ("mixed", "semi-implicit", FRAME),
         ("mixed", "rk4", FRAME),
         ("male", "semi-implicit", FRAME),
-        ("male", "rk4", 10),  # the reference takes a quarter of a second a substep
-        ("female", "semi-implicit", FRAME),
+        ("female", "rk4", 10),  # the reference takes a quarter of a second a substep
     ],
 )
 def test_state_after_a_frame_of_free_flight(name: str, integrator: Integrator, substeps: int):

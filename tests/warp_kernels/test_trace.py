@@ -237,7 +237,7 @@ def quadrants(x: list[Any]) -> list[Any]:
 def test_sine_and_cosine(lanes: int):
     angles = np.concatenate([np.linspace(-4 * np.pi, 4 * np.pi, 4001), np.linspace(-1e-3, 1e-3, 101), [0.0]])
     angles = angles.astype(np.float32).astype(float)[:, None]
-    found = emitted(both, lanes)(angles)
+    found = emitted(both, 1, lanes)(angles)
     expected = np.concatenate([np.sin(angles), np.cos(angles)], axis=1)
     turn = np.abs(angles[:, 0]) <= np.pi
     # Within a turn to float32; beyond it the angle itself has been rounded.
@@ -254,7 +254,7 @@ def test_arc_tangent_and_arc_sine_all_round():
     length = 10.0 ** rng.uniform(-6, 6, size=angle.size)
     sine = np.sin(np.linspace(-0.5 * np.pi, 0.5 * np.pi, angle.size))
     inputs = np.stack([length * np.sin(angle), length * np.cos(angle), sine], axis=1).astype(np.float32).astype(float)
-    found = emitted(quadrants, 8)(inputs)
+    found = emitted(quadrants, 3, 8)(inputs)
     assert np.max(np.abs(found[:, 0] - np.arctan2(inputs[:, 0], inputs[:, 1]))) < 8 * EPS
     # Close to one the arc sine turns the rounding of 1 - x^2 into its root.
     assert np.max(np.abs(found[:, 1] - np.arcsin(inputs[:, 2]))) < 6e-4
@@ -281,7 +281,7 @@ def test_arc_tangent_and_arc_sine_all_round():
     ],
 )
 def test_corners_of_the_arc_tangent(y: float, x: float, angle: float):
-    found = emitted(quadrants, 8)(np.array([[y, x, 0.0]]))[0, 0]
+    found = emitted(quadrants, 3, 8)(np.array([[y, x, 0.0]]))[0, 0]
     assert found == pytest.approx(angle, rel=4 * EPS, abs=1e-35)
     assert atan2(np.float64(y), np.float64(x)) == pytest.approx(angle, rel=1e-12)
 
@@ -290,7 +290,7 @@ def test_corners_of_the_arc_tangent(y: float, x: float, angle: float):
     ("value", "angle"), [(1.0, 0.5 * np.pi), (-1.0, -0.5 * np.pi), (1.5, 0.5 * np.pi), (-9.0, -0.5 * np.pi), (0.0, 0.0)]
 )
 def test_corners_of_the_arc_sine(value: float, angle: float):
-    assert emitted(quadrants, 8)(np.array([[0.0, 1.0, value]]))[0, 1] == pytest.approx(angle, rel=4 * EPS, abs=1e-12)
+    assert emitted(quadrants, 3, 8)(np.array([[0.0, 1.0, value]]))[0, 1] == pytest.approx(angle, rel=4 * EPS, abs=1e-12)
     assert asin(np.float64(value)) == pytest.approx(angle, rel=1e-12, abs=1e-15)
 
 
@@ -409,7 +409,7 @@ def test_random_graphs_compute_what_numpy_computes(lanes: int):
     expected = RANDOM_GRAPHS([inputs[:, i] for i in range(INPUTS)])
     expected = np.stack([np.broadcast_to(np.asarray(value, dtype=float), 333) for value in expected], axis=1)
     assert np.unique(expected).size > 30
-    np.testing.assert_array_equal(emitted(RANDOM_GRAPHS, lanes)(inputs), expected)
+    np.testing.assert_array_equal(emitted(RANDOM_GRAPHS, INPUTS, lanes)(inputs), expected)
 
 
 def test_guarded_arithmetic_is_skipped_and_not_counted(graph: Graph, x: Expr, y: Expr):
