@@ -20,6 +20,7 @@ from echelon.warp_kernels.spatial import quaternion_normalized
 from echelon.warp_kernels.trace import Probe, record_probes
 
 LEVEL_PLANE = (0.0, 0.0, 1.0, 0.0)
+NO_WALL = (1.0, 0.0, 0.0, -1.0e6)
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ class ReferenceRun:
         step: Length of a substep [s].
         tick: Substeps a control tick.
         integrator: "semi-implicit" or "rk4".
-        planes: (n_x, n_y, n_z, d) of the plane under each contact site [m]; level ground at z = 0 if not given.
+        planes: (n_x, n_y, n_z, d) of the plane that each contact site meets [m]; level ground at z = 0 and no walls if
+            not given.
         command: Commands by name, one number or one an agent; zero where not given.
         parameters: Parameters by name, likewise; the character's usual ones where not given.
     """
@@ -70,9 +72,8 @@ class ReferenceRun:
         self.integrator = integrator
         self.agent_count = len(q)
         body = character.body
-        self.planes = (
-            [list(map(float, p)) for p in planes] if planes is not None else [LEVEL_PLANE] * len(body.contacts)
-        )
+        usual = [LEVEL_PLANE if site.surface == "ground" else NO_WALL for site in body.contacts]
+        self.planes = [list(map(float, plane)) for plane in (usual if planes is None else planes)]
         self.command = {name: self._column((command or {}).get(name, 0.0)) for name in character.commands}
         self.parameters = {
             name: self._column((parameters or {}).get(name, usual)) for name, usual in character.parameters.items()

@@ -21,11 +21,12 @@ from engine_scenes import (
     slope_normal,
     start,
 )
+from scipy.spatial.transform import Rotation
 
 from echelon.agents.servo import ServoedBody
 from echelon.warp_kernels import articulated
 from echelon.warp_kernels.character import View
-from echelon.warp_kernels.contact import PEEL_ACCELERATION, JointForces, contact
+from echelon.warp_kernels.contact import PEEL_ACCELERATION, JointForces, _deepest, _travel, contact
 from echelon.warp_kernels.model import ContactSite, Integration, Joint, Link
 from echelon.warp_kernels.program import Integrator
 from echelon.warp_kernels.reference import Body
@@ -368,10 +369,9 @@ def test_a_block_dropped_askew_comes_to_rest_on_its_four_corners():
     rng = np.random.default_rng(8)
     q[:, 2] += 0.15
     q[:, 3:6] = rng.uniform(-0.15, 0.15, size=(8, 3))
-    flight = start(passive(body), as_float32(body.normalized(q)), as_float32(0.5 * rng.normal(size=(8, 6)))).advance(
-        120
-    )
-    depth = body.mass * GRAVITY / 4.0 / 20_000.0
+    q, u = as_float32(body.normalized(q)), as_float32(0.5 * rng.normal(size=(8, 6)))
+    flight = start(character, q, u).advance(120)
+    depth = BLOCK_MASS * GRAVITY / 4.0 / BLOCK_STIFFNESS
     np.testing.assert_allclose(flight.q[:, 2], 0.05 - depth, atol=1e-5)
     assert np.max(np.abs(flight.q[:, 3:5])) < 1e-4
     assert np.max(np.abs(flight.u)) < 1e-4
@@ -394,6 +394,33 @@ def test_a_ball_rolls_down_a_slope_without_slip(integration: Integration, integr
         flight.advance(15)
     assert (speeds[2] - speeds[0]) == pytest.approx(5.0 / 7.0 * GRAVITY * np.sin(angle), rel=0.002)
     np.testing.assert_allclose(speeds, np.array(spins) * radius, rtol=1e-4)
+    # Fast on level ground it neither lifts nor sinks: what touches changes all the time, and is not flung upwards.
+    level = body.q_reference.copy()
+    level[2] -= body.mass * GRAVITY / 40_000.0
+    flight = start(passive(body), level, np.array([8.0, 0.0, 0.0, 0.0, 40.0, 0.0]), integrator=integrator).advance(10)
+    assert flight.q[0, 2] == pytest.approx(level[2], abs=2e-6)
+    assert flight.u[0, 0] == pytest.approx(8.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("radii", [(0.0, 0.0, 0.0), (0.2, 0.2, 0.2), (0.3, 0.1, 0.2), (0.4, 0.4, 0.05)])
+def test_the_contact_point_travels_as_the_link_turns(radii: tuple[float, float, float]):
+    """Against differences: where is the deepest point of a turning point, sphere, ellipsoid, disc a moment later?"""
+    site = ContactSite("site", "link", (0.1, -0.2, 0.3), radii=radii)
+    rng = np.random.default_rng(6)
+    normal = np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0])
+    moment = 1e-6
+    for _ in range(10):
+        turn = Rotation.from_quat(rng.normal(size=4))
+        omega = 3.0 * rng.normal(size=3)
+
+        def place(time: float, turn: Rotation = turn, omega: np.ndarray = omega) -> np.ndarray:
+            now = turn * Rotation.from_rotvec(omega * time)
+            return now.apply(add(list(site.position), _deepest(site, list(now.inv().apply(normal)))))
+
+        in_link = list(turn.inv().apply(normal))
+        point = add(list(site.position), _deepest(site, in_link))
+        expected = turn.inv().apply((place(moment) - place(-moment)) / (2.0 * moment))
+        np.testing.assert_allclose(_travel(site, in_link, list(omega), point), expected, atol=1e-8)
 
 
 @pytest.mark.parametrize("integration", BOTH)
