@@ -164,12 +164,16 @@ def test_fallen_hopper_lies_as_the_reference_does():
     q[:, 7] = np.linspace(-1.15, 1.15, count)
     q[3:, 2] += 0.6  # three fall from above and touch nothing yet
     u = 0.3 * np.random.default_rng(8).normal(size=(count, body.u_count))
+    u[:, 2] = -0.4
     q, u = as_float32(q), as_float32(u)
-    flight, run = start(character, q, u), ReferenceRun(character, q, u)
-    flight.advance(1)
-    run.frame(FRAME)
-    assert np.all(run.state.memory["fallen"] == 1.0)
-    assert np.flatnonzero(run.state.strains[1][0] != 0.0).tolist() == [0, 1, 2]
-    np.testing.assert_array_equal(flight.engine.memory("fallen"), run.state.memory["fallen"])
-    assert np.max(np.abs(flight.q - run.q)) <= 2e-5
-    assert np.max(np.abs(flight.u - run.u)) <= 5e-4
+    flight, run = start(character, q, u, substeps=10, frame_rate=120), ReferenceRun(character, q, u)
+    for part in range(4):
+        flight.advance(1)
+        run.frame(10)
+        if part == 0:
+            # One is pushed off again by its hip, which is bent past its limit.
+            assert np.flatnonzero(run.state.strains[1][0] != 0.0).tolist() == [1, 2]
+        assert np.all(run.state.memory["fallen"] == 1.0)
+        np.testing.assert_array_equal(flight.engine.memory("fallen"), run.state.memory["fallen"])
+        assert np.max(np.abs(flight.q - run.q)) <= 2e-6
+        assert np.max(np.abs(flight.u - run.u)) <= 2e-4
