@@ -31,6 +31,8 @@ class ServoedBody:
     commands: tuple[str, ...] = ()
     phase_names: tuple[str, ...] = ("held",)
     events: tuple[str, ...] = ()
+    records: tuple[str, ...] = ()
+    steps_per_second: int = 1200
     memory: Mapping[str, float] = {"phase": 0.0, "fallen": 0.0, "loaded": 0.0}
 
     def __init__(self, body: Body, stiffness: float | Sequence[float], damping: float | Sequence[float]) -> None:

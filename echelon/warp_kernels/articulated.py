@@ -67,6 +67,7 @@ class Node:
         offset: Origin in the parent node's frame [m].
         q, u: Index of its first coordinate and speed.
         link: Index of the link that moves with it, None for a massless intermediate.
+        continuous: Whether it turns without end (see `Joint`).
     """
 
     parent: int
@@ -76,6 +77,7 @@ class Node:
     q: int
     u: int
     link: int | None
+    continuous: bool = False
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def unroll(model: Model) -> Tree:
             count = AXIS_COUNT[joint.kind]
             for place, axis in enumerate(joint.axes):
                 last = place == count - 1
-                nodes.append(Node(parent, kind, axis, offset, q, u, index if last else None))
+                nodes.append(Node(parent, kind, axis, offset, q, u, index if last else None, joint.continuous))
                 parent, offset = len(nodes) - 1, (0.0, 0.0, 0.0)
                 q, u = q + 1, u + 1
         node_of_link.append(len(nodes) - 1)

@@ -38,6 +38,8 @@ class View:
         step: Length of a substep [s].
         tick: Length of a control tick [s].
         implicit_step: The same under semi-implicit Euler, 0 where forces must be plain (Runge-Kutta).
+        springs: By name of a spring of the body, what its force is multiplied by; 1 for those that are not named.
+            Assign while actuating: 0 lets go.
     """
 
     q: Sequence[Any]
@@ -51,6 +53,7 @@ class View:
     tick: float
     implicit_step: float
     contacts: Mapping[str, Contact] = field(default_factory=dict)
+    springs: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,8 @@ class Character(Protocol):
         phase_names: Names of the controller's phases.
         events: Names of memory variables that are `NO_EVENT` at the start of each frame and take the substep at
             which their event happened.
+        records: Names of memory variables that recordings keep, as measures.
+        steps_per_second: At least so many substeps a second its dynamics and control need [1/s].
     """
 
     name: str
@@ -92,6 +97,8 @@ class Character(Protocol):
     commands: tuple[str, ...]
     phase_names: tuple[str, ...]
     events: tuple[str, ...]
+    records: tuple[str, ...]
+    steps_per_second: int
 
     def population(self, count: int, seed: int, variation: float, in_phase: bool) -> Population:
         """Individuals that differ by about `variation`, ready to start; agent i does not depend on the count."""

@@ -32,7 +32,7 @@ d) that terrain hands in. The contact point is the site's deepest.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -368,8 +368,14 @@ def _load(
 
 
 # ---- springs between links -----------------------------------------------------------------------------------------
-def spring_forces(kin: Kinematics, model: Model) -> dict[int, list[tuple[Vector, Vector]]]:
-    """(moment, force) on each link from the model's springs, in the link's axes about its origin; explicit."""
+def spring_forces(
+    kin: Kinematics, model: Model, factors: Mapping[str, Any] | None = None
+) -> dict[int, list[tuple[Vector, Vector]]]:
+    """(moment, force) on each link from the model's springs, in the link's axes about its origin; explicit.
+
+    Args:
+        factors: By name of a spring, what its force is multiplied by; 1 for those that are not named.
+    """
     result: dict[int, list[tuple[Vector, Vector]]] = {}
     for spring in model.springs:
         ends = []
@@ -392,6 +398,8 @@ def spring_forces(kin: Kinematics, model: Model) -> dict[int, list[tuple[Vector,
             along = scale(1.0 / length, gap)
             on_a = scale(spring.stiffness * (length - spring.rest_length) + spring.damping * dot(rate, along), along)
             arms = None, None
+        if factors and spring.name in factors:
+            on_a = scale(factors[spring.name], on_a)
         for (name, _, _, position), force, arm in zip(ends, (on_a, negate(on_a)), arms, strict=True):
             if name is None:
                 continue

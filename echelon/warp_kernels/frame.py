@@ -1,40 +1,29 @@
-"""The fused frame kernel: every agent through a whole frame in one launch.
+"""The engine: every agent through a whole frame in one launch.
 
 Within a frame an agent is alone with the ground beneath it, so a thread (a *block* of as many agents as the target
-has lanes) carries its agents from one frame boundary to the next and nobody waits:
-
-    rebase        the floating origin moves to where the root is, exactly, in float64
-    look up       ground and walls beneath and beside each contact site become local planes
-    tick x 8      control, then substeps with the state in registers
-    check         an agent whose state is no longer finite goes back to where it was, and stays there
-    observe       link poses, velocities, phase, flags and events, into the frame's slot of a chunk
+has lanes) carries its agents from one frame boundary to the next (see `frame_kernel`) and nobody waits.
 
 How agents are dealt out to lanes, blocks and threads cannot change a bit: no agent reads another's numbers, every
 operation is elementwise across lanes, and padding lanes hold an agent that nobody reads.
 """
 
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
-# pyright: reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false, reportInvalidTypeForm=false
-# Kernels: Warp compiles and checks them, and its types mean other things to it than to Python. There is no
-# `from __future__ import annotations`, since the kernel's types are variables of the function that makes it.
+from __future__ import annotations
 
 import itertools
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
 
 from echelon.warp_kernels.character import Character
-from echelon.warp_kernels.emit import Target, cpu_compiler_flags, host_lanes
-from echelon.warp_kernels.program import PLANE_SIZE, POSE_SIZE, Integrator, Program
+from echelon.warp_kernels.emit import Target, host_lanes
+from echelon.warp_kernels.frame_kernel import compiled_program, frame_kernel, type_of
+from echelon.warp_kernels.program import PLANE_SIZE, POSE_SIZE, Integrator
 from echelon.warp_kernels.start import start_warp
-
-SURFACES = {"ground": 0, "wall": 1}
 
 THREAD_WORK = 4_000_000
 """Agents times substeps times operations that are worth waking a second thread for, per frame."""
@@ -60,7 +49,7 @@ class Terrain(Protocol):
 
     @property
     def rough(self) -> bool:
-        """Whether a plane must be looked up every tick rather than every frame."""
+        """Whether each site's plane must be looked up where it stands, every tick, rather than once a frame."""
         ...
 
 
@@ -73,6 +62,7 @@ class ChunkArrays:
         origins: Floating origins in the world [m],              shape [frames, agents, 3], float64
         velocities: Of the first link, world axes [m/s],          shape [frames, agents, 3]
         desired: Commands that the frame was advanced with,       shape [frames, agents, commands]
+        measures: What the character records,                     shape [frames, agents, records]
         phases: Controller phase,                                 shape [frames, agents], int8
         contacts: 1 where a foot is loaded,                       shape [frames, agents], uint8
         fallen: 1 where the agent has fallen,                     shape [frames, agents], uint8
@@ -84,6 +74,7 @@ class ChunkArrays:
     origins: wp.array
     velocities: wp.array
     desired: wp.array
+    measures: wp.array
     phases: wp.array
     contacts: wp.array
     fallen: wp.array
@@ -91,7 +82,7 @@ class ChunkArrays:
     events: wp.array
 
     @classmethod
-    def allocate(cls, frames: int, agents: int, character: Character, device: wp.DeviceLike = None) -> "ChunkArrays":
+    def allocate(cls, frames: int, agents: int, character: Character, device: wp.DeviceLike = None) -> ChunkArrays:
         """Arrays for a chunk of `frames` frames of a character."""
         links, commands, events = len(character.body.links), len(character.commands), len(character.events)
 
@@ -103,6 +94,7 @@ class ChunkArrays:
             origins=zeros((frames, agents, 3), wp.float64),
             velocities=zeros((frames, agents, 3), wp.float32),
             desired=zeros((frames, agents, max(commands, 1)), wp.float32),
+            measures=zeros((frames, agents, max(len(character.records), 1)), wp.float32),
             phases=zeros((frames, agents), wp.int8),
             contacts=zeros((frames, agents), wp.uint8),
             fallen=zeros((frames, agents), wp.uint8),
@@ -155,10 +147,12 @@ class Engine:
         self.lanes = lanes
         self.device = device
         self.step = 1.0 / (frame_rate * substeps)
-        self.program = _program(character, self.step, tick * self.step, integrator, Target(lanes, cuda), terrain.level)
+        self.program = compiled_program(
+            character, self.step, tick * self.step, integrator, Target(lanes, cuda), terrain.level
+        )
         self.layout = self.program.layout
         self.block_count = -(-agent_count // lanes)
-        self._kernel = _frame_kernel(self.program, terrain.look_up, type_of(terrain.data), terrain.rough)
+        self._kernel = frame_kernel(self.program, terrain.look_up, type_of(terrain.data), terrain.rough)
         body = character.body
 
         def zeros(count: int, dtype: Any = wp.float32) -> wp.array:
@@ -173,9 +167,9 @@ class Engine:
         self.fallen = wp.zeros(agent_count, dtype=wp.int32, device=device)
         self.origins = wp.zeros((self.block_count * lanes, 3), dtype=wp.float64, device=device)
         self._backup = zeros(self.layout.size)
+        self._places = zeros(3 * len(self.program.located_sites))
         self._planes = zeros(PLANE_SIZE * len(body.contacts))
         self._seen = zeros(self.program.seen_size)
-        self._surfaces = wp.array([SURFACES[site.surface] for site in body.contacts] or [0], dtype=int, device=device)
         self._event_places = wp.array(
             [self.layout.memory[name] for name in character.events] or [0], dtype=int, device=device
         )
@@ -311,10 +305,19 @@ class Engine:
                     self._kernel,
                     dim=count,
                     inputs=[first, self.agent_count, self.tick, self._clock, self.terrain.data]
-                    + [self._surfaces, self._event_places, self.parameters, self.command],
-                    outputs=[self.state, self.origins, self._command_lanes, self._backup, self._planes, self._seen]
+                    + [self._event_places, self.parameters, self.command],
+                    outputs=[self.state, self.origins, self._command_lanes, self._backup]
+                    + [self._places, self._planes, self._seen]
                     + [self.positions, self.velocities, self.fallen, chunk.poses, chunk.origins, chunk.velocities]
-                    + [chunk.desired, chunk.phases, chunk.contacts, chunk.fallen, chunk.frozen, chunk.events],
+                    + [
+                        chunk.desired,
+                        chunk.measures,
+                        chunk.phases,
+                        chunk.contacts,
+                        chunk.fallen,
+                        chunk.frozen,
+                        chunk.events,
+                    ],
                     device=self.device,
                     block_dim=64,
                 )
@@ -346,173 +349,3 @@ class Engine:
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
-
-
-def type_of(data: Any) -> Any:
-    """The Warp type to annotate a kernel argument with that takes this struct instance."""
-    return data._cls
-
-
-@lru_cache(maxsize=32)
-def _program(
-    character: Character, step: float, tick: float, integrator: Integrator, target: Target, level: bool
-) -> Program:
-    return Program(character, step, tick, integrator, target, level)
-
-
-@lru_cache(maxsize=64)
-def _frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool) -> Any:
-    """The frame kernel of one program on one kind of terrain."""
-    lanes = program.target.lanes
-    layout = program.layout
-    body = program.character.body
-    control, substeps, observe = program.control, program.substeps, program.observe
-    begin, keep_finite, keep_poses = program.begin, program.keep_finite, program.keep_poses
-    site_count = len(body.contacts)
-    link_count = len(body.links)
-    event_count = len(program.character.events)
-    command_count = len(program.character.commands)
-    free_root = body.links[0].joint.kind == "free"
-    # The origin stays where it is for a body that is tied to the world, and takes other free roots along.
-    floats = free_root and all(None not in (spring.link_a, spring.link_b) for spring in body.springs)
-    later_roots = [layout.q + body.q_start(i) for i in range(1, link_count) if body.links[i].joint.kind == "free"]
-    later_root_count = len(later_roots)
-    later_root_places = wp.types.vector(length=max(later_root_count, 1), dtype=wp.int32)(*(later_roots or [0]))
-    phase_at, fallen_at, loaded_at = (layout.memory[name] for name in ("phase", "fallen", "loaded"))
-    frozen_at = layout.frozen
-    root_q = layout.q
-    velocity_at = POSE_SIZE * link_count
-
-    @wp.func
-    def look_up_planes(
-        block: int,
-        lane: int,
-        terrain: terrain_type,
-        surfaces: wp.array[int],
-        state: wp.array3d[wp.float32],
-        origins: wp.array2d[wp.float64],
-        planes_out: wp.array3d[wp.float32],
-    ):
-        """Planes of all sites of one agent, looked up where its root is, relative to its origin."""
-        agent = block * lanes + lane
-        origin = wp.vec3d(origins[agent, 0], origins[agent, 1], origins[agent, 2])
-        point = origin
-        if wp.static(free_root):
-            point = origin + wp.vec3d(
-                wp.float64(state[block, root_q, lane]),
-                wp.float64(state[block, root_q + 1, lane]),
-                wp.float64(state[block, root_q + 2, lane]),
-            )
-        for site in range(site_count):
-            plane = look_up(surfaces[site], point, terrain)
-            offset = plane[3] - plane[0] * origin[0] - plane[1] * origin[1] - plane[2] * origin[2]
-            planes_out[block, 4 * site, lane] = wp.float32(plane[0])
-            planes_out[block, 4 * site + 1, lane] = wp.float32(plane[1])
-            planes_out[block, 4 * site + 2, lane] = wp.float32(plane[2])
-            planes_out[block, 4 * site + 3, lane] = wp.float32(offset)
-
-    @wp.kernel(module="unique", module_options=_module_options(program), enable_backward=False)
-    def advance_frame(
-        first_block: int,
-        agent_count: int,
-        tick: int,
-        clock: wp.array[int],
-        # where
-        terrain: terrain_type,
-        surfaces: wp.array[int],
-        event_places: wp.array[int],
-        # who
-        parameters: wp.array3d[wp.float32],
-        command: wp.array2d[wp.float32],
-        # state
-        state: wp.array3d[wp.float32],
-        origins: wp.array2d[wp.float64],
-        command_lanes: wp.array3d[wp.float32],
-        backup: wp.array3d[wp.float32],
-        planes: wp.array3d[wp.float32],
-        seen: wp.array3d[wp.float32],
-        # out: what the group sees
-        positions_out: wp.array[wp.vec3],
-        velocities_out: wp.array[wp.vec3],
-        fallen_out: wp.array[wp.int32],
-        # out: the recording
-        poses_out: wp.array4d[wp.float32],
-        origins_out: wp.array3d[wp.float64],
-        chunk_velocities_out: wp.array3d[wp.float32],
-        chunk_desired_out: wp.array3d[wp.float32],
-        phases_out: wp.array2d[wp.int8],
-        contacts_out: wp.array2d[wp.uint8],
-        chunk_fallen_out: wp.array2d[wp.uint8],
-        frozen_out: wp.array2d[wp.uint8],
-        events_out: wp.array3d[wp.int16],
-    ):
-        block = first_block + wp.tid()
-        slot = clock[0]
-        tick_count = clock[1]
-        for lane in range(lanes):
-            agent = block * lanes + lane
-            if wp.static(floats):
-                for axis in range(3):
-                    shift = state[block, root_q + axis, lane]
-                    # What is not finite stays in the state, where it will be noticed.
-                    if wp.isfinite(shift):
-                        origins[agent, axis] = origins[agent, axis] + wp.float64(shift)
-                        state[block, root_q + axis, lane] = wp.float32(0.0)
-                        for root in range(later_root_count):
-                            place = later_root_places[root] + axis
-                            state[block, place, lane] = state[block, place, lane] - shift
-            for part in range(command_count):
-                command_lanes[block, part, lane] = command[wp.min(agent, agent_count - 1), part]
-        begin(state, backup, block)
-        for lane in range(lanes):
-            look_up_planes(block, lane, terrain, surfaces, state, origins, planes)
-
-        for count in range(tick_count):
-            if wp.static(rough) and count > 0:
-                for lane in range(lanes):
-                    look_up_planes(block, lane, terrain, surfaces, state, origins, planes)
-            control(state, parameters, command_lanes, block)
-            substeps(state, parameters, command_lanes, planes, block, tick)
-
-        # Whatever is not finite, or was frozen before, stays where it was at the start of the frame.
-        keep_finite(state, backup, block)
-        observe(state, seen, block)
-        keep_poses(seen, poses_out, block, slot, agent_count)
-        for lane in range(lanes):
-            agent = block * lanes + lane
-            if agent < agent_count:
-                for axis in range(3):
-                    origins_out[slot, agent, axis] = origins[agent, axis]
-                    chunk_velocities_out[slot, agent, axis] = seen[block, velocity_at + axis, lane]
-                phases_out[slot, agent] = wp.int8(state[block, phase_at, lane])
-                for part in range(command_count):
-                    chunk_desired_out[slot, agent, part] = command_lanes[block, part, lane]
-                contacts_out[slot, agent] = wp.uint8(wp.where(state[block, loaded_at, lane] > 0.5, 1, 0))
-                lost = wp.where(state[block, frozen_at, lane] > 0.5, 1, 0)
-                down = wp.where(state[block, fallen_at, lane] > 0.5, 1, 0)
-                chunk_fallen_out[slot, agent] = wp.uint8(down)
-                frozen_out[slot, agent] = wp.uint8(lost)
-                fallen_out[agent] = wp.max(down, lost)
-                for event in range(event_count):
-                    events_out[slot, agent, event] = wp.int16(state[block, event_places[event], lane])
-                positions_out[agent] = wp.vec3(
-                    wp.float32(origins[agent, 0] + wp.float64(seen[block, 0, lane])),
-                    wp.float32(origins[agent, 1] + wp.float64(seen[block, 1, lane])),
-                    wp.float32(origins[agent, 2] + wp.float64(seen[block, 2, lane])),
-                )
-                velocities_out[agent] = wp.vec3(
-                    seen[block, velocity_at, lane],
-                    seen[block, velocity_at + 1, lane],
-                    seen[block, velocity_at + 2, lane],
-                )
-
-    return advance_frame
-
-
-def _module_options(program: Program) -> dict[str, Any]:
-    # Unrolling the loops over lanes would only make more to compile. Multiply-adds stand in the code (see `emit`),
-    # and the compilers, CUDA's too, are to make no others.
-    options: dict[str, Any] = {"enable_backward": False, "max_unroll": 1, "fuse_fp": False}
-    if not program.target.cuda:
-        options["cpu_compiler_flags"] = cpu_compiler_flags(program.target.lanes)
-    return options

@@ -6,11 +6,16 @@ fourth-order Runge-Kutta, which needs the rates of the coordinates themselves.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 from echelon.warp_kernels.articulated import Tree
 from echelon.warp_kernels.spatial import quaternion_normalized, quaternion_product, quaternion_rate
+from echelon.warp_kernels.trace import floor
+
+TWO_TURNS = 4.0 * math.pi
+"""By so much angles of continuous joints are taken back [rad]: one turn would change the sign of a quaternion."""
 
 
 def semi_implicit_positions(tree: Tree, q: Sequence[Any], u: Sequence[Any], step: Any) -> list[Any]:
@@ -47,3 +52,12 @@ def position_rate(tree: Tree, q: Sequence[Any], u: Sequence[Any]) -> list[Any]:
         else:
             result[node.q] = u[node.u]
     return result
+
+
+def wrapped_positions(tree: Tree, q: Sequence[Any]) -> dict[int, Any]:
+    """New values, by place in q, of the coordinates that turn without end: back by two turns where they are beyond."""
+    return {
+        node.q: q[node.q] - TWO_TURNS * floor(q[node.q] * (1.0 / TWO_TURNS) + 0.5)
+        for node in tree.nodes
+        if node.continuous
+    }

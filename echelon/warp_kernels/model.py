@@ -83,6 +83,8 @@ class Joint:
         limits: For each axis None or (lower, upper) [rad or m], held by a spring and damper beyond them.
         limit_stiffness: [N m/rad or N/m].
         limit_damping: [N m s/rad or N s/m].
+        continuous: For a pin that turns without end, like a wheel: its angle is taken back by two turns at the start
+            of a frame in which it has left [-2 pi, 2 pi], so that it stays as precise as it was.
     """
 
     name: str
@@ -92,6 +94,7 @@ class Joint:
     limits: tuple[tuple[float, float] | None, ...] = ()
     limit_stiffness: float = 0.0
     limit_damping: float = 0.0
+    continuous: bool = False
 
 
 @dataclass(frozen=True)
@@ -398,6 +401,8 @@ def _check_joint(here: str, link: Link) -> None:
     for axis in joint.axes:
         if not abs(float(np.linalg.norm(axis)) - 1.0) < 1e-6:
             raise ModelError(f"{here}: joint axis {list(axis)} is not a unit vector")
+    if joint.continuous and (joint.kind != "pin" or any(joint.limits)):
+        raise ModelError(f"{here}: only a pin without limits can be continuous")
     for limit in joint.limits:
         if limit is not None and not limit[0] < limit[1]:
             raise ModelError(f"{here}: joint limit {list(limit)} is not (lower, upper) with lower < upper")
@@ -492,6 +497,10 @@ def _record(record: type[_Record], where: str, data: Any) -> _Record:
                 raise ModelError(f"{here}: expected {size} numbers, found {len(values[entry.name])}")
         elif kind == "float":
             values[entry.name] = _number(here, value)
+        elif kind == "bool":
+            if not isinstance(value, bool):
+                raise ModelError(f"{here}: {value!r} is not true or false")
+            values[entry.name] = value
         elif isinstance(value, str):
             values[entry.name] = value
         else:
@@ -564,6 +573,7 @@ def _joint(here: str, data: Any) -> Joint:
         limits=limits,  # type: ignore[arg-type]
         limit_stiffness=joint.limit_stiffness,
         limit_damping=joint.limit_damping,
+        continuous=joint.continuous,
     )
 
 

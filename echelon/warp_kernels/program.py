@@ -5,8 +5,9 @@
 
 * ``control(state, parameters, command, block)``: one control tick;
 * ``substeps(state, parameters, command, planes, block, count)``: ``count`` substeps, the state held in registers;
-* ``begin(state, backup, block)``: at the start of a frame, clear latches and keep a copy;
+* ``begin(state, backup, block)``: at the start of a frame, wrap angles, clear latches and keep a copy;
 * ``keep_finite(state, backup, block)``: at its end, put agents whose state is not finite back to the copy;
+* ``locate(state, places, block)``: where the sites are whose ground must be looked up where they stand;
 * ``observe(state, seen, block)``: link poses and velocities at the end of a frame;
 * ``keep_poses(seen, poses, block, slot, agent_count)``: the poses into the frame's slot of a chunk, agent by agent.
 
@@ -31,10 +32,12 @@ from echelon.warp_kernels import articulated
 from echelon.warp_kernels.character import NO_EVENT, Character, StateLayout, View
 from echelon.warp_kernels.contact import Contact, JointForces, contact, spring_forces, strain_count
 from echelon.warp_kernels.emit import Target, operation_count, statements
-from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions
+from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions, wrapped_positions
 from echelon.warp_kernels.spatial import (
     Vector,
+    add,
     apply,
+    cross,
     quaternion_normalized,
     quaternion_product,
     scale,
@@ -118,7 +121,7 @@ def evaluate_substep(
         contacts,
     )
     character.actuate(view, joints)
-    qdd = articulated.forward_dynamics(kin, joints.tau, joints.implicit, loads, spring_forces(kin, body))
+    qdd = articulated.forward_dynamics(kin, joints.tau, joints.implicit, loads, spring_forces(kin, body, view.springs))
     found_in_order = [contacts[site.name] for site in body.contacts]
     return SubstepResult(qdd, [c.strain for c in found_in_order], [c.strain_rate for c in found_in_order], view.memory)
 
@@ -132,6 +135,7 @@ class Program:
         target: Lanes and kind of processor.
         level_ground: Whether the ground's normal is +z everywhere, which saves arithmetic.
         substep_operations: Arithmetic operations of one substep, for reports.
+        located_sites: Places in the model's list of the sites that `locate` finds: those that usually touch the ground.
         key: A name that changes exactly when the code does.
     """
 
@@ -156,9 +160,12 @@ class Program:
         self.parameter_names = tuple(character.parameters)
         self.seen_size = POSE_SIZE * len(character.body.links) + SEEN_EXTRA
         self.substep_operations = 0
+        sites = character.body.contacts
+        self.located_sites = tuple(i for i, s in enumerate(sites) if s.surface == "ground" and s.use == "usual")
         sources = {
             "control": self._control_source(),
             "substeps": self._substeps_source(),
+            "locate": self._locate_source(),
             "observe": self._observe_source(),
             "begin": self._begin_source(),
             "keep_finite": self._keep_finite_source(),
@@ -168,6 +175,7 @@ class Program:
         self.key = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:12]
         self.control = self._native(sources["control"], _control_stub)
         self.substeps = self._native(sources["substeps"], _substeps_stub)
+        self.locate = self._native(sources["locate"], _locate_stub)
         self.observe = self._native(sources["observe"], _observe_stub)
         self.begin = self._native(sources["begin"], _backup_stub)
         self.keep_finite = self._native(sources["keep_finite"], _backup_stub)
@@ -344,6 +352,24 @@ class Program:
             for i, value in enumerate(values)
         ]
 
+    def _locate_source(self) -> str:
+        """Where the located sites will be half a tick from now: the middle of the time that a plane is used for."""
+        graph = Graph()
+        state = self._variables(graph)
+        body = self.character.body
+        kin = articulated.kinematics(body.tree, state.q, state.u)
+        outputs: list[tuple[str, Expr]] = []
+        for index in self.located_sites:
+            site = body.contacts[index]
+            node = body.tree.node_of_link[body.link_index(site.link)]
+            rotation, origin = kin.world(node)
+            velocity = add(kin.world_velocity(node), apply(rotation, cross(kin.omega[node], list(site.position))))
+            place = add(add(origin, apply(rotation, list(site.position))), scale(0.5 * self.tick, velocity))
+            outputs += [(f"L[{len(outputs) + axis}]", graph.lift(x)) for axis, x in enumerate(place)]
+        code = self.target.preamble + self._pointer("s", "state", self.layout.size)
+        code += self._pointer("L", "places", 3 * len(self.located_sites))
+        return code + statements(graph, outputs, self.target)
+
     def _observe_source(self) -> str:
         graph = Graph()
         state = self._variables(graph)
@@ -363,6 +389,11 @@ class Program:
     def _begin_source(self) -> str:
         size = self.layout.size
         code = self.target.preamble + self._pointer("s", "state", size) + self._pointer("b", "backup", size)
+        graph = Graph()
+        state = self._variables(graph)
+        wrapped = wrapped_positions(self.character.body.tree, state.q)
+        outputs = [(f"s[{self.layout.q + at}]", graph.lift(value)) for at, value in wrapped.items()]
+        code += statements(graph, outputs, self.target)
         for name in self.character.events:
             code += f"s[{self.layout.memory[name]}] = (lanes)({NO_EVENT}f);\n"
         code += f"s[{self.layout.substep}] = (lanes)(0.0f);\n"
@@ -432,6 +463,9 @@ def _poses_stub(
 
 
 def _backup_stub(state: wp.array3d[wp.float32], backup: wp.array3d[wp.float32], block: int): ...
+
+
+def _locate_stub(state: wp.array3d[wp.float32], places: wp.array3d[wp.float32], block: int): ...
 
 
 def _observe_stub(state: wp.array3d[wp.float32], seen: wp.array3d[wp.float32], block: int): ...

@@ -14,7 +14,7 @@ import numpy as np
 from echelon.warp_kernels import articulated
 from echelon.warp_kernels.character import NO_EVENT, Character, View
 from echelon.warp_kernels.contact import strain_count
-from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions
+from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions, wrapped_positions
 from echelon.warp_kernels.program import AgentState, Integrator, SubstepResult, evaluate_substep
 from echelon.warp_kernels.spatial import quaternion_normalized
 from echelon.warp_kernels.trace import Probe, record_probes
@@ -145,7 +145,10 @@ class ReferenceRun:
         """One frame: control every `tick` substeps."""
         for name in self.character.events:
             self.state.memory[name] = self._column(NO_EVENT)
-        self.state = AgentState(self.state.q, self.state.u, self.state.strains, self.state.memory, self._column(0.0))
+        q = list(self.state.q)
+        for place, value in wrapped_positions(self.character.body.tree, q).items():
+            q[place] = value
+        self.state = AgentState(q, self.state.u, self.state.strains, self.state.memory, self._column(0.0))
         for count in range(substeps):
             if count % self.tick == 0:
                 self.control()

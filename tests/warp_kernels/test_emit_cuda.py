@@ -13,7 +13,7 @@ import pytest
 import warp as wp
 from engine_scenes import SlopedTerrain, hopper, puppet
 
-from echelon.warp_kernels import frame
+from echelon.warp_kernels import frame_kernel
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.emit import Target
 from echelon.warp_kernels.program import Integrator, Program
@@ -42,7 +42,7 @@ def compiled(character: Character, integrator: Integrator, folder: Path) -> tupl
     """(CUDA source, PTX) of a character's frame kernel."""
     program = Program(character, 1 / 1200, 5 / 1200, integrator, Target(lanes=1, cuda=True))
     terrain: Any = SlopedTerrain.of(0.0)
-    kernel = frame._frame_kernel(program, terrain.look_up, frame.type_of(terrain.data), terrain.rough)
+    kernel = frame_kernel.frame_kernel(program, terrain.look_up, frame_kernel.type_of(terrain.data), terrain.rough)
     wp.compile_aot_module(kernel.module, arch=ARCHITECTURE, module_dir=folder, use_ptx=True)
     (source,), (ptx,) = folder.glob("*.cu"), folder.glob("*.ptx")
     return source.read_text(), ptx.read_text()
