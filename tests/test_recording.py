@@ -63,6 +63,7 @@ class Walk:
         frames["origins"][row] = 1e4 + x[:, None] * [1.0, 2.0, 3.0]
         frames["velocities"][row] = x[:, None] - frame
         frames["desired_velocities"][row] = -x[:, None]
+        frames["measures"][row] = x[:, None] * [100.0, 3.0]
         frames["phases"][row] = (x * 5).astype(np.int8)
         frames["contacts"][row] = x > 0.5
         frames["fallen"][row] = x > 0.9
@@ -85,6 +86,7 @@ def begin(path: Path, frames: int = FRAMES) -> RecordingWriter:
         casts=[Cast("three", three_link_body(), 0, AGENTS, np.linspace(0, 1, AGENTS * 3).reshape(AGENTS, 3))],
         world={"ground": {"shape": "plane", "half_size": 10.0}},
         actors=[Actor("collie", "bicycle")],
+        measure_names=("power", "lean"),
         length=CHUNK,
     )
 
@@ -119,12 +121,12 @@ def walked() -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 def buffer_shapes() -> dict[str, tuple[int, ...]]:
-    layouts = recording_layout.frame_arrays(CHUNK, AGENTS, LINKS, 1)
+    layouts = recording_layout.frame_arrays(CHUNK, AGENTS, LINKS, 1, 2)
     return {name: layout.chunk for name, layout in layouts.items()}
 
 
 def buffer_types() -> dict[str, np.dtype]:
-    layouts = recording_layout.frame_arrays(CHUNK, AGENTS, LINKS, 1)
+    layouts = recording_layout.frame_arrays(CHUNK, AGENTS, LINKS, 1, 2)
     return {name: np.dtype(layout.dtype) for name, layout in layouts.items()}
 
 
@@ -267,6 +269,7 @@ def test_a_recording_without_actors_or_events(tmp_path: Path) -> None:
     recording = Recording(tmp_path / "empty")
     assert recording.frame_count == 9
     assert recording.actor_poses[:].shape == (9, 0, 7)
+    assert recording.measures[:].shape == (9, 1, 0)
     assert recording.events.shape == (0,)
     assert recording.events.dtype == EVENT_DTYPE
 
@@ -597,6 +600,7 @@ def test_the_estimate_of_size(tmp_path: Path) -> None:
         frame_limit=frames,
         casts=[Cast("three", body, 0, agents, np.ones((agents, 3)))],
         world={},
+        measure_names=("power", "lean"),
     ) as writer:
         buffers, state = writer.buffers(), {"x": np.zeros((agents, 128), np.float32)}
         while writer.next_frame < frames:
@@ -606,7 +610,7 @@ def test_the_estimate_of_size(tmp_path: Path) -> None:
             writer.append({name: array[:count] for name, array in buffers.items()}, state, events)
         writer.finish({})
     size = sum(file.stat().st_size for file in (tmp_path / "size").rglob("*") if file.is_file())
-    assert estimate_bytes(frames, agents, LINKS) == pytest.approx(size, rel=0.1)
+    assert estimate_bytes(frames, agents, LINKS, measure_count=2) == pytest.approx(size, rel=0.1)
 
 
 def test_recording_costs_little(tmp_path: Path) -> None:

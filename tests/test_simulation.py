@@ -43,7 +43,7 @@ def test_started_in_phase_they_hop_out_of_phase_after_ten_seconds(population: in
     plan = Scenario.load("herd", ["crowd.in_phase=true", "seconds=14", f"population_seed={population}"])
     recording = run(plan, tmp_path)
     touchdowns = events(recording, "touchdown")
-    time = touchdowns["frame"] / 30.0 + touchdowns["substep"] / (30.0 * plan.engine.substeps_at(30))
+    time = touchdowns["frame"] / 30.0 + touchdowns["substep"] / (30.0 * plan.engine.substeps_at(30, 720))
 
     def phases(at: float) -> np.ndarray:
         found = []
@@ -151,14 +151,14 @@ def test_one_that_diverges_is_frozen_and_harms_nobody(tmp_path: Path) -> None:
     plan = Scenario.load("straight", ["seconds=4", "crowd.count=9"])
     simulation = Simulation(plan, threads=1)
     clean = Simulation(plan, threads=1)
-    from echelon.simulation import GroupFrames
+    from echelon.simulation.scene import SceneFrames
     from echelon.warp_kernels.frame import ChunkArrays
 
     found = []
     for sim, poisoned in ((simulation, True), (clean, False)):
         chunk = ChunkArrays.allocate(60, 9, sim.character)
         sim.engine.bind(chunk)
-        seen = GroupFrames.allocate(60, 0)
+        seen = SceneFrames.allocate(60, sim.scene, 9)
         for frame in range(60):
             if poisoned and frame == 20:
                 u = sim.engine.u

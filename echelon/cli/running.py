@@ -39,14 +39,15 @@ def check_products(out: Path | None, film: Path | None) -> None:
 
 def announce(reporter: Reporter, plan: Scenario, folder: Path) -> None:
     """Say about how long the run will take and how much disk it will use, and whether something is replaced."""
-    from echelon.agents.bodies import load_body
+    from echelon.agents.characters import character_named
     from echelon.recording import check_place, estimate_bytes
 
     replaces = check_place(folder)
-    links = len(load_body(plan.crowd.character).link_names)
+    character = character_named(plan.crowd.character)
+    links, measures = len(character.body.links), len(character.records)
     frames, count = plan.step_count + 1, plan.crowd.count
     actors = int(plan.collie is not None)
-    disk = estimate_bytes(frames, count, links, frame_rate=plan.frame_rate, actor_count=actors)
+    disk = estimate_bytes(frames, count, links, frame_rate=plan.frame_rate, actor_count=actors, measure_count=measures)
     free = shutil.disk_usage(folder.absolute().parent).free
     if disk > free:
         raise Failure(f"{folder}: the recording needs about {size(disk)}, but only {size(free)} are free there")
@@ -61,8 +62,13 @@ def announce(reporter: Reporter, plan: Scenario, folder: Path) -> None:
 
 def _expected_seconds(plan: Scenario) -> float:
     """A rough guess of how long a run takes on one core [s]; the progress knows better once it has begun."""
-    per_substep = 3e-8 * (4.0 if plan.engine.integrator == "rk4" else 1.0)
-    return 1.0 + plan.step_count * (1e-4 + plan.crowd.count * plan.engine.substeps_at(plan.frame_rate) * per_substep)
+    from echelon.agents.characters import character_named
+
+    character = character_named(plan.crowd.character)
+    # Work grows with the number of speeds; a hopper has 10 and takes some 30 ns a substep.
+    per_substep = 3e-9 * character.body.u_count * (4.0 if plan.engine.integrator == "rk4" else 1.0)
+    substeps = plan.engine.substeps_at(plan.frame_rate, character.steps_per_second)
+    return 1.0 + plan.step_count * (1e-4 + plan.crowd.count * substeps * per_substep)
 
 
 def run_and_report(

@@ -116,6 +116,7 @@ _FRAME_ARRAYS: Sequence[tuple[str, str, tuple[str, ...], str, str]] = (
     ),
     ("velocities", "<f4", ("frame", "agent", "xyz"), "m/s", "velocity of the root link in the world"),
     ("desired_velocities", "<f4", ("frame", "agent", "xy"), "m/s", "velocity that the agent is asked for"),
+    ("measures", "<f4", ("frame", "agent", "measure"), "", "what measure_names of the manifest say"),
     ("phases", "<i1", ("frame", "agent"), "", "index into phase_names of the manifest"),
     ("contacts", "|b1", ("frame", "agent"), "", "whether a foot is loaded"),
     ("fallen", "|b1", ("frame", "agent"), "", "whether the agent has fallen"),
@@ -125,13 +126,16 @@ _FRAME_ARRAYS: Sequence[tuple[str, str, tuple[str, ...], str, str]] = (
 )
 
 
-def frame_arrays(chunk_frames: int, agent_count: int, link_count: int, actor_count: int) -> dict[str, ArrayLayout]:
+def frame_arrays(
+    chunk_frames: int, agent_count: int, link_count: int, actor_count: int, measure_count: int = 0
+) -> dict[str, ArrayLayout]:
     """The arrays with one row a frame, by name."""
     sizes = {
         "frame": chunk_frames,
         "agent": agent_count,
         "link": link_count,
         "actor": actor_count,
+        "measure": measure_count,
         "pose": 7,
         "xyz": 3,
         "xy": 2,
@@ -160,12 +164,14 @@ def event_rows(agent_count: int) -> int:
     return 2 ** min(max(math.ceil(math.log2(80 * agent_count)), 12), 20)
 
 
-def chunk_frames(frame_rate: int, frame_limit: int, agent_count: int, link_count: int, actor_count: int) -> int:
+def chunk_frames(
+    frame_rate: int, frame_limit: int, agent_count: int, link_count: int, actor_count: int, measure_count: int = 0
+) -> int:
     """Frames in a chunk: at most twenty seconds and 64 MiB, and so many that the last chunk of the run is nearly full.
 
     Making a file costs some 0.2 ms whatever is in it: shorter chunks would spend more on files than on their contents.
     """
-    one = sum(array.nbytes for array in frame_arrays(1, agent_count, link_count, actor_count).values())
+    one = sum(array.nbytes for array in frame_arrays(1, agent_count, link_count, actor_count, measure_count).values())
     most = max(1, min(_CHUNK_SECONDS * frame_rate, _CHUNK_BYTES // one))
     return -(-frame_limit // -(-frame_limit // most))
 
@@ -177,6 +183,7 @@ def estimate_bytes(
     *,
     frame_rate: int = 30,
     actor_count: int = 0,
+    measure_count: int = 0,
     state_bytes_per_agent: int = 512,
 ) -> int:
     """About how large a recording will be [bytes].
@@ -187,13 +194,14 @@ def estimate_bytes(
         link_count: Most links of any body.
         frame_rate: Frames a second.
         actor_count: Actors.
+        measure_count: Measures of each agent.
         state_bytes_per_agent: Size of one agent's part of the full state [bytes].
     """
-    length = chunk_frames(frame_rate, frame_count, agent_count, link_count, actor_count)
+    length = chunk_frames(frame_rate, frame_count, agent_count, link_count, actor_count, measure_count)
     chunks = -(-frame_count // length)
     # Events: two hops a second, each a touchdown and a liftoff, 16 bytes each.
     events = math.ceil(frame_count / frame_rate * agent_count * 4) * 16
-    layouts = frame_arrays(1, agent_count, link_count, actor_count).values()
+    layouts = frame_arrays(1, agent_count, link_count, actor_count, measure_count).values()
     frames = sum(frame_count * layout.nbytes for layout in layouts)
     files = (len(layouts) + 2) * (chunks + 2)  # half a block of 4 KiB is lost at the end of each
     return frames + events + chunks * agent_count * state_bytes_per_agent + 2048 * files

@@ -127,6 +127,7 @@ class Manifest:
     agent_count: Annotated[int, Within(at_least=1)]
     link_count: Annotated[int, Within(at_least=1)]
     phase_names: tuple[str, ...]
+    measure_names: tuple[str, ...]
     event_names: tuple[str, ...]
     actors: tuple[ActorEntry, ...]
     casts: tuple[CastEntry, ...]
@@ -217,7 +218,13 @@ def _refuse_constant(name: str) -> float:
 
 def manifest_frame_arrays(manifest: Manifest) -> dict[str, ArrayLayout]:
     """`frame_arrays` of one recording."""
-    return frame_arrays(manifest.chunk_frames, manifest.agent_count, manifest.link_count, len(manifest.actors))
+    return frame_arrays(
+        manifest.chunk_frames,
+        manifest.agent_count,
+        manifest.link_count,
+        len(manifest.actors),
+        len(manifest.measure_names),
+    )
 
 
 def check_chunks(path: Path, manifest: Manifest) -> None:

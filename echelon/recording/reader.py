@@ -149,11 +149,13 @@ class Recording:
         casts: Who is in it, by first agent.
         actors: Who else is in the picture.
         phase_names, event_names: What the numbers of phases and kinds of event mean.
+        measure_names: What the columns of ``measures`` are.
         summary: What the run reported; empty while it runs.
         link_poses: Of each link in the world, float64, shape [frames, agents, links, 7]. Agents with fewer
             links than the most repeat their last one.
         velocities: Of the root link in the world [m/s], float32,       [frames, agents, 3]
         desired_velocities: [m/s], float32,                             [frames, agents, 2]
+        measures: By ``measure_names``, float32,                        [frames, agents, measures]
         phases: Index into ``phase_names``, int8,                       [frames, agents]
         contacts: Whether a foot is loaded, bool,                       [frames, agents]
         fallen: Whether the agent has fallen, bool,                     [frames, agents]
@@ -182,6 +184,7 @@ class Recording:
         self.casts = _casts(self.path, manifest)
         self.actors = tuple(Actor(entry.name, entry.kind) for entry in manifest.actors)
         self.phase_names = manifest.phase_names
+        self.measure_names = manifest.measure_names
         self.event_names = manifest.event_names
         self.summary: dict[str, Any] = manifest.summary
 
@@ -190,6 +193,7 @@ class Recording:
         self.link_poses = LazyPoses(self.path, layouts["link_poses"], layouts["origins"], self.frame_count)
         self.velocities = lazy["velocities"]
         self.desired_velocities = lazy["desired_velocities"]
+        self.measures = lazy["measures"]
         self.phases = lazy["phases"]
         self.contacts = lazy["contacts"]
         self.fallen = lazy["fallen"]

@@ -107,6 +107,7 @@ class RecordingWriter:
         world: Mapping[str, Any],
         actors: Sequence[Actor] = (),
         phase_names: Sequence[str] = PHASE_NAMES,
+        measure_names: Sequence[str] = (),
         event_names: Sequence[str] = EVENT_NAMES,
         length: int | None = None,
     ) -> RecordingWriter:
@@ -121,6 +122,7 @@ class RecordingWriter:
             world: Set pieces, plain data.
             actors: Who else is in the picture.
             phase_names, event_names: What the numbers of phases and kinds of event mean.
+            measure_names: What is measured of each agent in each frame.
             length: Frames in a chunk; by default up to twenty seconds, fewer for a very large crowd.
 
         Raises:
@@ -136,7 +138,8 @@ class RecordingWriter:
             status="running",
             frame_rate=frame_rate,
             frame_limit=frame_limit,
-            chunk_frames=length or chunk_frames(frame_rate, frame_limit, agent_count, link_count, len(actors)),
+            chunk_frames=length
+            or chunk_frames(frame_rate, frame_limit, agent_count, link_count, len(actors), len(measure_names)),
             frame_count=0,
             chunk_count=0,
             event_count=0,
@@ -144,6 +147,7 @@ class RecordingWriter:
             agent_count=agent_count,
             link_count=link_count,
             phase_names=tuple(phase_names),
+            measure_names=tuple(measure_names),
             event_names=tuple(event_names),
             actors=tuple(ActorEntry(actor.name, actor.kind) for actor in actors),
             casts=tuple(_cast_entry(cast) for cast in casts),

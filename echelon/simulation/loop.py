@@ -3,8 +3,8 @@
     frame k                                                              frame k+1
     see --> want --> act: substeps of control, contact and dynamics --> record --> see ...
 
-Characters meet only at frame boundaries, through what the group layer sees of them there (`echelon.flocking`); within
-a frame each is alone with the ground beneath it and one kernel launch carries everybody across
+Characters meet only at frame boundaries, through what the group layer sees of them there (`scene`); within a frame
+each is alone with the ground beneath it and one kernel launch carries everybody across
 (`echelon.warp_kernels.frame`). What happened streams to a recording a chunk at a time, each chunk with the full state
 at its start, so that a run which is killed goes on to the same bytes.
 
@@ -17,27 +17,22 @@ import colorsys
 import hashlib
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import warp as wp
 
-from echelon.agents.hopper import Hopper
-from echelon.errors import InputError
-from echelon.flocking.group import Group
-from echelon.recording import EVENT_DTYPE, EVENT_NAMES, Actor, Cast, Recording, RecordingWriter
-from echelon.scenario import CorralSettings, Scenario
-from echelon.terrain.flat import FlatTerrain
-from echelon.terrain.walls import world_dict
+from echelon.agents.characters import character_named
+from echelon.recording import EVENT_DTYPE, EVENT_NAMES, Cast, Recording, RecordingWriter
+from echelon.scenario import Scenario
+from echelon.simulation.field import Field
+from echelon.simulation.scene import Scene, SceneFrames
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.frame import ChunkArrays, Engine
 from echelon.warp_kernels.start import start_warp
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames at most)."""
-
-CHARACTERS: Mapping[str, Callable[[], Character]] = {"hopper": Hopper}
 
 GOLDEN_RATIO = 0.6180339887498949
 
@@ -47,29 +42,39 @@ class Simulation:
 
     Attributes:
         scenario: What runs.
+        character: Who.
+        scene: Where, and what they want.
         engine: Everybody's bodies.
-        group: What they want.
         frame: Frames done; frame 0, the start, counts as one once it has been observed.
     """
 
-    def __init__(self, scenario: Scenario, *, threads: int | None = None, device: str = "cpu") -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        threads: int | None = None,
+        device: str = "cpu",
+        world: Mapping[str, Any] | None = None,
+    ) -> None:
         """Put everybody where they start.
 
         Args:
             scenario: What to run.
             threads: On a CPU; 0 decides by the work there is; None leaves it to the scenario.
             device: A Warp device, "cpu" or "cuda:0".
+            world: That of the recording to go on with; None makes it anew.
         """
         start_warp()
         crowd, settings = scenario.crowd, scenario.engine
         self.scenario = scenario
-        self.character = _character(crowd.character)
+        self.character = character_named(crowd.character)
+        self.scene: Scene = Field(scenario, device)
         self.engine = Engine(
             self.character,
             crowd.count,
-            FlatTerrain.of(scenario.world, device),
+            self.scene.terrain,
             frame_rate=scenario.frame_rate,
-            substeps=settings.substeps_at(scenario.frame_rate),
+            substeps=settings.substeps_at(scenario.frame_rate, self.character.steps_per_second),
             tick=settings.tick,
             integrator=settings.integrator,
             lanes=settings.lanes,
@@ -77,52 +82,43 @@ class Simulation:
             device=device,
         )
         self._populate()
-        self.group = Group(scenario, device=device)
-        # The same memory twice: rows of commands for the engine, vectors for the group.
-        self._desired = wp.array(
-            ptr=self.engine.command.ptr, dtype=wp.vec2, shape=crowd.count, device=self.engine.command.device
-        )
         self.frame = 0
         self.counts = dict.fromkeys(EVENT_NAMES, 0)
-        self._passed: tuple[int, ...] = (0, 0)  # gates and collisions that the referee had counted before
-        # On a CPU the referee's counts and the collie's pose are read where they are, without asking Warp each frame.
-        collie = self.group.collie
-        self._totals_here = self.group.referee.arrays.totals.numpy() if device == "cpu" else None
-        self._pose_here = collie.arrays.pose.numpy() if collie is not None and device == "cpu" else None
+
+    @property
+    def measure_names(self) -> tuple[str, ...]:
+        """What is measured of each agent in each frame: the character's own, then the scene's."""
+        return (*self.character.records, *self.scene.measure_names)
 
     def _populate(self) -> None:
-        crowd = self.scenario.crowd
-        people = self.character.population(
-            crowd.count, self.scenario.population_seed, crowd.variation, in_phase=crowd.in_phase
-        )
+        people, places = self.scene.people(self.character)
         self.engine.set_q(people.q)
         self.engine.set_u(people.u)
         for name, values in people.parameters.items():
             self.engine.set_parameter(name, values)
         for name, values in people.memory.items():
             self.engine.set_memory(name, values)
-        places = self.scenario.start_positions()
-        self.engine.set_origins(np.column_stack([places, np.zeros(len(places))]))
+        self.engine.set_origins(places)
 
     # ---- state -----------------------------------------------------------------------------------------------------
     def state(self) -> dict[str, np.ndarray]:
         """Everything that the next frame depends on, by name; copies."""
         engine = {f"engine.{name}": array for name, array in self.engine.full_state().items()}
-        group = {f"group.{name}": array for name, array in self.group.state().items()}
-        return engine | group | {"counts": np.array(list(self.counts.values()), dtype=np.int64)}
+        scene = {f"scene.{name}": array for name, array in self.scene.state().items()}
+        return engine | scene | {"counts": np.array(list(self.counts.values()), dtype=np.int64)}
 
     def load_state(self, state: Mapping[str, np.ndarray], frame: int) -> None:
         """Go on from what `state` gave when ``frame`` was the next."""
-        parts: dict[str, dict[str, np.ndarray]] = {"engine": {}, "group": {}}
+        parts: dict[str, dict[str, np.ndarray]] = {"engine": {}, "scene": {}}
         for name, array in state.items():
             room, _, rest = name.partition(".")
             if rest:
                 parts[room][rest] = array
         self.engine.load_full_state(parts["engine"])
-        self.group.load_state(parts["group"])
+        self.scene.load_state(parts["scene"])
         self.counts = dict(zip(self.counts, map(int, state["counts"]), strict=True))
         self.frame = frame
-        self._passed = tuple(self._referee().tolist()[2:4])
+        self.scene.begin()
 
     def state_hash(self) -> str:
         """SHA-256 of the present state: equal for equal runs."""
@@ -132,39 +128,17 @@ class Simulation:
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
 
-    def _referee(self) -> np.ndarray:
-        """What the referee has counted (`echelon.flocking.referee.TOTALS`)."""
-        return self.group.referee.arrays.totals.numpy() if self._totals_here is None else self._totals_here
-
     # ---- frames ----------------------------------------------------------------------------------------------------
-    def advance(self, slot: int, seen: GroupFrames) -> None:
+    def advance(self, slot: int, seen: SceneFrames) -> None:
         """One frame into a slot: everybody acts on what was wanted before, then sees, and wants anew.
 
         The first frame is only looked at: nobody has moved yet.
         """
         self.engine.advance(slot, observe_only=self.frame == 0)
-        if self.group.collie is not None:
-            pose = self.group.collie.arrays.pose.numpy() if self._pose_here is None else self._pose_here
-            seen.actor_poses[slot, 0] = pose[0]
-        self._see_and_want(self.frame)
-        inside, _, gates, collisions = self._referee().tolist()
-        seen.in_corral[slot] = inside
-        if (gates, collisions) != self._passed:
-            self._note(seen)
-            self._passed = (gates, collisions)
+        self.scene.keep_actors(slot, seen)
+        self.scene.step(self.frame, self.engine)
+        self.scene.keep(self.frame, slot, seen)
         self.frame += 1
-
-    def _see_and_want(self, frame: int) -> None:
-        engine = self.engine
-        self.group.step(frame, engine.positions, engine.velocities, self._desired, engine.fallen)
-
-    def _note(self, seen: GroupFrames) -> None:
-        """Gates passed and collisions begun in this frame."""
-        arrays = self.group.referee.arrays
-        for agent in np.flatnonzero(arrays.gates.numpy()):
-            seen.events.append((self.frame, 0, int(agent), EVENT_NAMES.index("gate")))
-        for agent, _ in self.group.referee.collisions():
-            seen.events.append((self.frame, 0, agent, EVENT_NAMES.index("collision")))
 
     def preroll(self) -> None:
         """Simulate the scenario's preroll, unrecorded; frame 0 is where it ends."""
@@ -174,64 +148,30 @@ class Simulation:
         self.engine.bind(ChunkArrays.allocate(1, self.engine.agent_count, self.character, self.engine.device))
         for frame in range(count):
             self.engine.advance(0, observe_only=frame == 0)
-            self._see_and_want(frame - count)
-        self._passed = tuple(self._referee().tolist()[2:4])
-
-    @property
-    def penned(self) -> bool:
-        """Whether enough have been in the corral for long enough."""
-        corral = self.scenario.world.corral
-        return corral is not None and bool(self._referee()[1] >= self._penned_frames(corral))
-
-    def _penned_frames(self, corral: CorralSettings) -> int:
-        return max(1, round(corral.penned_seconds * self.scenario.frame_rate))
+            self.scene.step(frame - count, self.engine)
+        self.scene.begin()
 
     @property
     def finished(self) -> bool:
         """Whether what the scenario runs until has come about."""
-        return self.scenario.until == "penned" and self.penned
+        return self.scene.finished
 
     def summary(self) -> dict[str, object]:
         """What the run came to; nothing in it depends on the clock."""
-        corral = self.scenario.world.corral
-        penned = corral is not None and self.penned
         last = self.frame - 1
-        since = last - int(self._referee()[1]) + 1
         return {
             "frames": self.frame,
             "seconds": last / self.scenario.frame_rate,
             "falls": self.counts["fall"],
             "collisions": self.counts["collision"],
             "nonfinite": self.counts["nonfinite"],
-            "in_corral": int(self._referee()[0]),
-            "penned": penned,
-            "penned_since": since / self.scenario.frame_rate if penned else None,
+            **self.scene.summary(last),
             "state_hash": self.state_hash(),
         }
 
     def close(self) -> None:
         """Let go of threads."""
         self.engine.close()
-
-
-@dataclass
-class GroupFrames:
-    """What one chunk of frames leaves of the group.
-
-    Attributes:
-        in_corral: How many are in, shape [frames], int32.
-        actor_poses: World poses, shape [frames, actors, 7], float64.
-        events: (frame, substep, agent, kind) of gates and collisions.
-    """
-
-    in_corral: np.ndarray
-    actor_poses: np.ndarray
-    events: list[tuple[int, int, int, int]]
-
-    @classmethod
-    def allocate(cls, frames: int, actors: int) -> GroupFrames:
-        """Room for a chunk."""
-        return cls(np.zeros(frames, np.int32), np.zeros((frames, actors, 7)), [])
 
 
 def simulate(
@@ -261,7 +201,7 @@ def simulate(
     with ExitStack() as stack:
         simulation = Simulation(scenario, threads=threads, device=device)
         stack.callback(simulation.close)
-        character, world = simulation.character, world_dict(scenario.world)
+        character = simulation.character
         writer = stack.enter_context(
             RecordingWriter.create(
                 recording,
@@ -269,9 +209,10 @@ def simulate(
                 frame_rate=scenario.frame_rate,
                 frame_limit=scenario.step_count + 1,
                 casts=[Cast(character.name, character.body, 0, scenario.crowd.count, colors(scenario.crowd.count))],
-                world=world,
-                actors=[Actor("collie", "bicycle")] if scenario.collie is not None else [],
+                world=simulation.scene.world,
+                actors=simulation.scene.actors,
                 phase_names=character.phase_names,
+                measure_names=simulation.measure_names,
             )
         )
         simulation.preroll()
@@ -296,9 +237,10 @@ def resume(
         InputError: It is no recording, or is finished.
         RecordingFailed: Writing failed, or this program or machine computes something else than the first did.
     """
-    scenario = Scenario.from_dict(Recording(recording).scenario, source=str(recording))
+    begun = Recording(recording)
+    scenario = Scenario.from_dict(begun.scenario, source=str(recording))
     with ExitStack() as stack:
-        simulation = Simulation(scenario, threads=threads, device=device)
+        simulation = Simulation(scenario, threads=threads, device=device, world=begun.world)
         stack.callback(simulation.close)
         writer, state = RecordingWriter.reopen(recording)
         stack.enter_context(writer)
@@ -315,12 +257,11 @@ def _run(simulation: Simulation, writer: RecordingWriter, progress: Progress | N
     total = writer.frame_limit
     engine = simulation.engine
     length = min(writer.chunk_frames, total)
-    actors = 0 if simulation.group.collie is None else 1
     chunks = [ChunkArrays.allocate(length, engine.agent_count, engine.character, engine.device) for _ in range(2)]
     turn = 0
     while simulation.frame < total and not simulation.finished:
         first, state, frozen = simulation.frame, simulation.state(), engine.frozen
-        chunk, seen = chunks[turn], GroupFrames.allocate(length, actors)
+        chunk, seen = chunks[turn], SceneFrames.allocate(length, simulation.scene, engine.agent_count)
         engine.bind(chunk)
         count = 0
         while count < length and simulation.frame < total and not simulation.finished:
@@ -331,28 +272,30 @@ def _run(simulation: Simulation, writer: RecordingWriter, progress: Progress | N
         events = _events(chunk, seen, engine.character, first, count, frozen)
         for kind, found in enumerate(np.bincount(events["kind"], minlength=len(EVENT_NAMES))):
             simulation.counts[EVENT_NAMES[kind]] += int(found)
-        writer.append(_frames(chunk, seen, count), state, events)
+        writer.append(_frames(chunk, seen, count, engine.character), state, events)
         turn = 1 - turn
     writer.finish(simulation.summary())
 
 
-def _frames(chunk: ChunkArrays, seen: GroupFrames, count: int) -> dict[str, np.ndarray]:
+def _frames(chunk: ChunkArrays, seen: SceneFrames, count: int, character: Character) -> dict[str, np.ndarray]:
     """The first ``count`` frames of a chunk under the names that the recording has for them."""
     arrays = {
         "link_poses": chunk.poses,
         "origins": chunk.origins,
         "velocities": chunk.velocities,
-        "desired_velocities": chunk.desired,
         "phases": chunk.phases,
     }
     frames = {name: array.numpy()[:count] for name, array in arrays.items()}
     for name, array in (("contacts", chunk.contacts), ("fallen", chunk.fallen), ("frozen", chunk.frozen)):
         frames[name] = array.numpy()[:count].view(np.bool_)
+    frames["desired_velocities"] = chunk.desired.numpy()[:count, :, :2]
+    own = chunk.measures.numpy()[:count, :, : len(character.records)]
+    frames["measures"] = np.concatenate([own, seen.measures[:count]], axis=2)
     return frames | {"in_corral": seen.in_corral[:count], "actor_poses": seen.actor_poses[:count]}
 
 
 def _events(
-    chunk: ChunkArrays, seen: GroupFrames, character: Character, first: int, count: int, frozen_before: np.ndarray
+    chunk: ChunkArrays, seen: SceneFrames, character: Character, first: int, count: int, frozen_before: np.ndarray
 ) -> np.ndarray:
     """What happened in a chunk, as the recording's table."""
     substeps = chunk.events.numpy()[:count, :, : len(character.events)]
@@ -373,15 +316,3 @@ def colors(count: int) -> np.ndarray:
     hues = (np.arange(count) * GOLDEN_RATIO + 0.03) % 1.0
     values = 0.95 - 0.12 * (np.arange(count) % 3)
     return np.array([colorsys.hsv_to_rgb(h, 0.72, v) for h, v in zip(hues, values, strict=True)])
-
-
-def _character(name: str) -> Character:
-    if name not in CHARACTERS:
-        raise InputError(f"character {name!r}: must be one of {', '.join(CHARACTERS)}")
-    # Made once in a process, so that what was traced and compiled for it is found again.
-    if name not in _made:
-        _made[name] = CHARACTERS[name]()
-    return _made[name]
-
-
-_made: dict[str, Character] = {}

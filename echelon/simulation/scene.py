@@ -1,0 +1,96 @@
+"""Where a scenario plays and what everybody in it wants: what the frame loop needs of it.
+
+There are two kinds: a `field` with a herd on it, and a `road` with riders.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from echelon.recording import Actor
+from echelon.warp_kernels.character import Character, Population
+from echelon.warp_kernels.frame import Engine, Terrain
+
+
+@dataclass
+class SceneFrames:
+    """What one chunk of frames leaves of a scene.
+
+    Attributes:
+        in_corral: How many are in, shape [frames], int32.
+        actor_poses: World poses, shape [frames, actors, 7], float64.
+        measures: What the scene measures of each agent, shape [frames, agents, measures], float32.
+        events: (frame, substep, agent, index into `EVENT_NAMES`) of what happened between agents.
+    """
+
+    in_corral: np.ndarray
+    actor_poses: np.ndarray
+    measures: np.ndarray
+    events: list[tuple[int, int, int, int]]
+
+    @classmethod
+    def allocate(cls, frames: int, scene: Scene, agents: int) -> SceneFrames:
+        """Room for a chunk."""
+        return cls(
+            np.zeros(frames, np.int32),
+            np.zeros((frames, len(scene.actors), 7)),
+            np.zeros((frames, agents, len(scene.measure_names)), np.float32),
+            [],
+        )
+
+
+class Scene(Protocol):
+    """A place and the wants of those in it.
+
+    Attributes:
+        terrain: What contacts meet.
+        world: What there is to see, plain data, for the recording.
+        actors: Who else is in the picture.
+        measure_names: What it measures of each agent in each frame.
+    """
+
+    terrain: Terrain
+    world: Mapping[str, Any]
+    actors: tuple[Actor, ...]
+    measure_names: tuple[str, ...]
+
+    def people(self, character: Character) -> tuple[Population, np.ndarray]:
+        """Everybody as they start, and the world places of their floating origins [m], shape [agents, 3]."""
+        ...
+
+    def step(self, frame: int, engine: Engine) -> None:
+        """See everybody in a frame, and tell the engine what they want until the next."""
+        ...
+
+    def keep(self, frame: int, slot: int, frames: SceneFrames) -> None:
+        """After `step`: leave what is to be recorded of this frame in a slot."""
+        ...
+
+    def keep_actors(self, slot: int, frames: SceneFrames) -> None:
+        """Before `step`, which takes the actors to the next frame: leave where they are in this one."""
+        ...
+
+    def begin(self) -> None:
+        """A preroll is over, or a state has been loaded: only what happens from now on is an event."""
+        ...
+
+    @property
+    def finished(self) -> bool:
+        """Whether what the scenario runs until has come about."""
+        ...
+
+    def summary(self, last_frame: int) -> dict[str, Any]:
+        """What the run came to, as far as the scene knows."""
+        ...
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next frame depends on, by name; copies."""
+        ...
+
+    def load_state(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from what `state` gave."""
+        ...
