@@ -18,7 +18,7 @@ ALLOWED: dict[str, set[str]] = {
     "settings": {"errors"},
     "warp_kernels": {"errors"},
     "scenario": {"errors", "settings"},
-    "terrain": {"errors", "scenario", "warp_kernels"},
+    "terrain": {"errors", "settings", "scenario", "warp_kernels"},
     "recording": {"errors", "settings", "warp_kernels"},
     "agents": GROUND,
     "flocking": GROUND,

@@ -10,6 +10,7 @@ from engine_scenes import GRAVITY, STEP, diagonal, free_link, start
 
 from echelon.agents.servo import ServoedBody
 from echelon.warp_kernels import articulated
+from echelon.warp_kernels.character import View
 from echelon.warp_kernels.contact import JointForces, spring_forces
 from echelon.warp_kernels.model import Joint, Link, Spring
 from echelon.warp_kernels.program import Integrator
@@ -267,3 +268,32 @@ def test_a_ball_servo_turns_back_the_shorter_way():
         np.testing.assert_allclose(qdd, -turn * 20.0 / 0.2 * 2.0 * np.sin(0.5 * short), atol=1e-9)
         flight = start(character, q).advance(90)
         assert 1.0 - abs(flight.q[0, 3]) < 1e-6
+
+
+class Holding(ServoedBody):
+    """Holds on by its spring as long as its memory says so."""
+
+    memory = ServoedBody.memory | {"hold": 1.0}
+
+    def actuate(self, view: View, joints: JointForces) -> None:
+        super().actuate(view, joints)
+        view.springs["spring"] = view.memory["hold"]
+
+
+def test_a_controller_lets_go_of_a_spring():
+    """Two masses on a stretched spring, one pair of which lets go: it keeps its distance, in lanes and reference."""
+    spring = Spring("spring", "link", (0.0, 0.0, 0.0), "other", (0.0, 0.0, 0.0), 400.0, 6.0, 0.5)
+    character = Holding(two_masses(spring), 0.0, 0.0)
+    q = np.tile(character.body.q_reference, (2, 1))
+    q[:, 7] = 0.6
+    flight = start(character, q)
+    flight.engine.set_memory("hold", np.array([1.0, 0.0]))
+    flight.advance(2)
+    run = ReferenceRun(character, q, np.zeros((2, 12)))
+    run.state.memory["hold"] = np.array([1.0, 0.0])
+    run.frame(40)
+    run.frame(40)
+    gaps = flight.q[:, 7] - flight.q[:, 0]
+    assert gaps[1] == pytest.approx(0.6, abs=1e-7)
+    assert abs(gaps[0] - 0.6) > 0.05
+    np.testing.assert_allclose(gaps, run.q[:, 7] - run.q[:, 0], atol=1e-5)
