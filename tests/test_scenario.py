@@ -20,6 +20,8 @@ from echelon.scenario.files import scenario_names
 from echelon.scenario.starting_places import hexagonal_places, overlapping_pair
 from echelon.settings import to_toml
 
+ROAD = '[world]\nground = "road"\ncourse = "city-race"\n[crowd]\ncharacter = "cyclist"\n'
+
 # Each: what is wrong, the file, and what the line must say.
 MALFORMED: list[tuple[str, str | bytes, str]] = [
     # not TOML
@@ -48,6 +50,23 @@ MALFORMED: list[tuple[str, str | bytes, str]] = [
     ("unknown integrator", '[engine]\nintegrator = "euler"', "'semi-implicit', 'rk4'"),
     ("unknown until", 'until = "tired"', "'penned'"),
     ("unknown camera", '[shot]\ncamera = "folow"', "did you mean 'follow'"),
+    # roads
+    ("road without a course", '[world]\nground = "road"\n[crowd]\ncharacter = "cyclist"', "must name a course"),
+    ("course without a road", '[world]\ncourse = "city-race"', "needs world.ground = 'road'"),
+    ("rider on a field", '[crowd]\ncharacter = "cyclist"', "must be 'road' for a cyclist"),
+    ("hopper on a road", '[world]\nground = "road"\ncourse = "city-race"', "must be one of cyclist"),
+    ("corral on a road", ROAD + "[world.corral]\nsize = 3", "must be left out"),
+    ("collie on a road", ROAD + "[collie]\nmax_speed = 3", "must be left out on a road"),
+    ("positions on a road", ROAD + "positions = [[0, 0]]", "must be left out on a road"),
+    ("user on a field", "[user]\nahead = 3", "needs world.ground = 'road'"),
+    ("obstacles on a field", '[[obstacles]]\nkind = "car"\ndistance = 3', "needs world.ground = 'road'"),
+    ("unknown obstacle", ROAD + '[[obstacles]]\nkind = "cow"\ndistance = 3', "'jogger', 'car', 'barrier'"),
+    ("obstacle nowhere", ROAD + '[[obstacles]]\nkind = "car"', "distance"),
+    ("moving car", ROAD + '[[obstacles]]\nkind = "car"\ndistance = 3\nspeed = 2', "must be 0 for a car"),
+    ("finish on a field", 'until = "finished"', "needs world.ground = 'road'"),
+    ("unsorted script", ROAD + "[user]\nkeys = [[5, 3, 0], [4, 3, 0]]", "must be more than 5"),
+    ("slow start", ROAD + "[peloton]\nstart_speed = 1", "must be at least slowest"),
+    ("all the same lane", ROAD + "[peloton]\nlateral_spacing = 0.3", "riders would overlap"),
     # wrong types
     ("true for a count", "[crowd]\ncount = true", "must be a whole number"),
     ("float for a count", "[crowd]\ncount = 16.0", "must be a whole number"),

@@ -9,10 +9,8 @@ World axes are x forward, y left, z up; metres, kilograms, seconds, radians.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,13 +18,21 @@ import numpy as np
 
 from echelon.errors import InputError
 from echelon.scenario.files import copied, one_line, override, parse, scenario_path
+from echelon.scenario.herd import CollieSettings, HerdSettings
+from echelon.scenario.road import ObstacleSettings, PelotonSettings, UserSettings
 from echelon.scenario.starting_places import hexagonal_places, jitter, overlapping_pair
+from echelon.scenario.world import Point, WorldSettings, place_text
 from echelon.settings import SettingError, Within, adopt, plain, read, shown, suggestion, to_toml
 
-Point = tuple[float, float]
-
-CHARACTERS: Mapping[str, str] = {"hopper": "one-legged hopping robot, after Raibert"}
+CHARACTERS: Mapping[str, str] = {
+    "hopper": "one-legged hopping robot, after Raibert",
+    "cyclist": "rider of 12 segments on a racing bicycle",
+    "cyclist-1995": "rider of 15 segments on a racing bicycle",
+}
 """The characters that a crowd can be made of, and a line about each."""
+
+RIDERS = ("cyclist", "cyclist-1995")
+"""Those who ride on roads; the others live on fields."""
 
 _SEED_LIMIT = 2**31 - 1
 
@@ -42,8 +48,8 @@ class CrowdSettings:
         start_spacing: Distance between neighbours of the hexagonal pattern they start in [m].
         start_jitter: Each is moved from its place in the pattern by up to this, along x and along y [m].
         positions: Start positions (x, y), one for each, instead of the pattern [m].
-        variation: Relative spread of leg stiffness and hop height between individuals.
-        in_phase: All start at the same phase of their hop.
+        variation: Relative spread between individuals: of a hopper's leg stiffness and hop height, of a rider's power.
+        in_phase: All start at the same phase of their hop, or of their cranks.
     """
 
     character: str = "hopper"
@@ -57,202 +63,6 @@ class CrowdSettings:
 
     def __post_init__(self) -> None:
         adopt(self, "crowd")
-
-
-@dataclass(frozen=True)
-class HerdSettings:
-    """What each member of the crowd wants, given whom it sees.
-
-    Attributes:
-        mode: "herd" keeps together, wanders and flees; "constant" gives everybody `desired_velocity`; "random" changes
-            each one's desired velocity by up to `change` every `period`.
-        desired_velocity: For mode "constant" (x, y) [m/s].
-        change: For mode "random", the greatest change of desired velocity [m/s].
-        period: For mode "random", time between changes [s].
-        spacing: Distance that neighbours keep from one another [m].
-        neighbours: How many of the nearest each one sees at most.
-        visibility: How far each one sees [m].
-        gain: Speed asked for by a metre of wrong distance to the neighbours [1/s].
-        max_speed: Greatest desired speed [m/s].
-        max_change: Greatest difference between desired and present velocity: asked for more, a robot falls [m/s].
-        flee_distance: The herd flees when the collie is nearer than this to its centroid [m].
-        flee_gain: Speed asked for by each metre that one is nearer to the collie than the herd flees to [1/s].
-        wander: Whether the undisturbed herd goes from one random goal to the next.
-        wander_gain: Speed asked for by a metre between the centroid and the goal [1/s].
-        wander_arrive: A new goal is chosen when the centroid is this near to the old one [m].
-        wall_distance: Distance kept from fences [m].
-        wall_gain: Greatest speed toward a fence, for each metre left before `wall_distance` [1/s]; 0: unseen.
-        radius: Radius of a body; two whose discs overlap have collided [m].
-        clearance: Gap kept between two bodies [m].
-        clearance_gain: Greatest speed of closing in on another, for each metre left before `clearance` [1/s].
-        lookahead: Neighbours are reckoned with where they will be so much later [s].
-    """
-
-    mode: Literal["herd", "constant", "random"] = "herd"
-    desired_velocity: Annotated[Point, Within("m/s", at_least=-20, at_most=20)] = (0.0, 0.0)
-    change: Annotated[float, Within("m/s", at_least=0, at_most=20)] = 1.0
-    period: Annotated[float, Within("s", above=0, at_most=1e4)] = 2.0
-    spacing: Annotated[float, Within("m", above=0, at_most=100)] = 2.5
-    neighbours: Annotated[int, Within(at_least=1, at_most=256)] = 8
-    visibility: Annotated[float, Within("m", above=0, at_most=1e4)] = 12.0
-    gain: Annotated[float, Within("1/s", at_least=0, at_most=100)] = 1.0
-    max_speed: Annotated[float, Within("m/s", at_least=0, at_most=20)] = 2.0
-    max_change: Annotated[float, Within("m/s", above=0, at_most=100)] = 1.0
-    flee_distance: Annotated[float, Within("m", at_least=0, at_most=1e4)] = 15.0
-    flee_gain: Annotated[float, Within("1/s", at_least=0, at_most=100)] = 0.5
-    wander: bool = True
-    wander_gain: Annotated[float, Within("1/s", at_least=0, at_most=100)] = 0.1
-    wander_arrive: Annotated[float, Within("m", above=0, at_most=1e3)] = 3.0
-    wall_distance: Annotated[float, Within("m", at_least=0, at_most=1e3)] = 1.0
-    wall_gain: Annotated[float, Within("1/s", at_least=0, at_most=100)] = 1.0
-    radius: Annotated[float, Within("m", at_least=0.01, at_most=10)] = 0.35
-    clearance: Annotated[float, Within("m", at_least=0, at_most=100)] = 0.8
-    clearance_gain: Annotated[float, Within("1/s", at_least=0, at_most=100)] = 1.0
-    lookahead: Annotated[float, Within("s", at_least=0, at_most=10)] = 0.3
-
-    def __post_init__(self) -> None:
-        adopt(self, "herd")
-
-
-@dataclass(frozen=True)
-class CorralSettings:
-    """A square pen, open in the middle of one side.
-
-    Attributes:
-        center: Middle of the square [m].
-        size: Length of a side [m].
-        opening: Width of the opening [m].
-        facing: Direction (x, y) in which the opening looks, along an axis; of length one.
-        penned_fraction: The crowd counts as penned when this part of it is inside...
-        penned_seconds: ... for so long on end [s].
-    """
-
-    center: Annotated[Point, Within("m", at_least=-1e5, at_most=1e5)] = (25.0, 0.0)
-    size: Annotated[float, Within("m", above=0, at_most=1e4)] = 10.0
-    opening: Annotated[float, Within("m", above=0, at_most=1e4)] = 6.0
-    facing: Point = (-1.0, 0.0)
-    penned_fraction: Annotated[float, Within(above=0, at_most=1)] = 0.75
-    penned_seconds: Annotated[float, Within("s", at_least=0, at_most=1e4)] = 10.0
-
-    def __post_init__(self) -> None:
-        adopt(self, "world.corral")
-        if self.opening > self.size:
-            raise SettingError(
-                "world.corral.opening", f" = {self.opening:g}: must be at most the size, {self.size:g} m"
-            )
-        if abs(math.hypot(*self.facing) - 1.0) > 1e-6:
-            raise SettingError("world.corral.facing", f" = {list(self.facing)}: must be a direction of length 1")
-
-    def fences(self) -> tuple[Point, ...]:
-        """The fence as a polyline from one post of the opening round to the other [m]."""
-        (cx, cy), (fx, fy), half, gap = self.center, self.facing, self.size / 2, self.opening / 2
-        # (forward, left) of the opening's direction.
-        local = [(half, gap), (half, half), (-half, half), (-half, -half), (half, -half), (half, -gap)]
-        return tuple((cx + a * fx - b * fy, cy + a * fy + b * fx) for a, b in local)
-
-
-@dataclass(frozen=True)
-class WorldSettings:
-    """The ground and what stands on it.
-
-    Attributes:
-        ground: "oval" is a fenced infield of two straight sides and two half circles about the origin; "plane" is open.
-        half_length: Half the infield's length along x; of a plane, half the side of the square that is drawn [m].
-        half_width: Half its width along y, which is the radius of the half circles [m].
-        fence_height: [m].
-        corral: The pen, if there is one.
-    """
-
-    ground: Literal["oval", "plane"] = "oval"
-    half_length: Annotated[float, Within("m", above=0, at_most=1e5)] = 45.0
-    half_width: Annotated[float, Within("m", above=0, at_most=1e5)] = 28.0
-    fence_height: Annotated[float, Within("m", above=0, at_most=100)] = 1.2
-    corral: CorralSettings | None = None
-
-    def __post_init__(self) -> None:
-        adopt(self, "world")
-        if self.ground == "oval" and self.half_length < self.half_width:
-            raise SettingError(
-                "world.half_length", f" = {self.half_length:g}: must be at least half_width, {self.half_width:g} m"
-            )
-        if self.corral is not None:
-            fences = np.array(self.corral.fences())
-            corner = int(np.argmin(self.room(fences)))
-            if self.room(fences[corner]) < 0.0:
-                raise SettingError(
-                    "world.corral.center",
-                    f" = {list(self.corral.center)}: its corner {_place(fences[corner])} must be inside the infield",
-                )
-
-    def room(self, points: np.ndarray) -> np.ndarray:
-        """Distance from points to the fence around the infield [m]: negative outside, infinite on a plane.
-
-        Args:
-            points: [m], shape [..., 2]; the result has shape [...].
-        """
-        points = np.asarray(points, dtype=np.float64)
-        if self.ground == "plane":
-            return np.full(points.shape[:-1], np.inf)
-        straight = self.half_length - self.half_width
-        return self.half_width - np.hypot(np.maximum(np.abs(points[..., 0]) - straight, 0.0), points[..., 1])
-
-    def clearance(self, points: np.ndarray) -> np.ndarray:
-        """Distance from points to the nearest fence of any kind [m]: negative outside the infield.
-
-        Args:
-            points: [m], shape [..., 2]; the result has shape [...].
-        """
-        nearest = self.room(points)
-        if self.corral is not None:
-            for a, b in pairwise(self.corral.fences()):
-                nearest = np.minimum(nearest, _distance_to_segment(np.asarray(points), np.array(a), np.array(b)))
-        return nearest
-
-
-@dataclass(frozen=True)
-class CollieSettings:
-    """The collie: a rider on a bicycle that goes forward only, and turns widely.
-
-    Attributes:
-        driver: "dog" gathers and drives the herd by itself; "waypoints" follows `waypoints`.
-        start: Where it starts [m].
-        heading: Direction it starts in, from x towards y [rad].
-        start_speed: Speed it starts with [m/s].
-        waypoints: (time [s], x [m], y [m]), by increasing time: where to be when.
-        max_speed: [m/s].
-        turning_radius: Radius of its tightest turn [m].
-        max_acceleration: Greatest acceleration and braking along its path [m/s^2].
-        wheelbase: Distance between its wheels [m].
-        steering_rate: How fast its front wheel turns [rad/s].
-    """
-
-    driver: Literal["dog", "waypoints"] = "dog"
-    start: Annotated[Point, Within("m", at_least=-1e5, at_most=1e5)] = (-35.0, 0.0)
-    heading: Annotated[float, Within("rad", at_least=-7, at_most=7)] = 0.0
-    start_speed: Annotated[float, Within("m/s", at_least=0, at_most=50)] = 0.0
-    waypoints: Annotated[tuple[tuple[float, float, float], ...], Within(at_least=-1e5, at_most=1e5)] = ()
-    max_speed: Annotated[float, Within("m/s", above=0, at_most=50)] = 6.0
-    turning_radius: Annotated[float, Within("m", above=0, at_most=1e3)] = 3.0
-    max_acceleration: Annotated[float, Within("m/s^2", above=0, at_most=50)] = 2.0
-    wheelbase: Annotated[float, Within("m", above=0, at_most=10)] = 1.1
-    steering_rate: Annotated[float, Within("rad/s", above=0, at_most=100)] = 2.0
-
-    def __post_init__(self) -> None:
-        adopt(self, "collie")
-        if self.driver == "waypoints" and not self.waypoints:
-            raise SettingError("collie.waypoints", " = []: must hold at least one (time, x, y) for driver 'waypoints'")
-        if self.start_speed > self.max_speed:
-            raise SettingError(
-                "collie.start_speed", f" = {self.start_speed:g}: must be at most max_speed, {self.max_speed:g} m/s"
-            )
-        last = -math.inf
-        for index, (time, _, _) in enumerate(self.waypoints):
-            here = f"collie.waypoints[{index}]"
-            if time < 0.0:
-                raise SettingError(here, f" = {list(self.waypoints[index])}: its time must be at least 0 s")
-            if time <= last:
-                raise SettingError(here, f" = {list(self.waypoints[index])}: its time must be later than {last:g} s")
-            last = time
 
 
 @dataclass(frozen=True)
@@ -293,7 +103,8 @@ class ShotSettings:
         first_frame: First frame of the shot; negative numbers count from the end of the run, -1 is its last frame.
         last_frame: Last frame of the shot, itself included; likewise.
         preroll: Time simulated before frame 0, and not recorded [s].
-        camera: "follow" keeps the action framed, "overview" shows the whole field, "corral" the corral.
+        camera: "follow" keeps the action framed, "overview" shows the whole field, "corral" the corral, "roadside"
+            stands beside the road and pans, "helicopter" flies along.
         size: Width and height of the film, even numbers [pixels].
         film_every: Every how many frames the film takes one.
     """
@@ -301,7 +112,7 @@ class ShotSettings:
     first_frame: Annotated[int, Within(at_least=-100_000_000, at_most=100_000_000)] = 0
     last_frame: Annotated[int, Within(at_least=-100_000_000, at_most=100_000_000)] = -1
     preroll: Annotated[float, Within("s", at_least=0, at_most=1e4)] = 0.0
-    camera: Literal["follow", "overview", "corral"] = "follow"
+    camera: Literal["follow", "overview", "corral", "roadside", "helicopter"] = "follow"
     size: Annotated[tuple[int, int], Within("pixels", at_least=16, at_most=8192)] = (640, 360)
     film_every: Annotated[int, Within(at_least=1, at_most=1000)] = 1
 
@@ -333,8 +144,11 @@ class Scenario:
         frame_rate: Frames a second, one of 24, 25, 30, 50, 60.
         seed: Of everything that is random while it runs.
         population_seed: Of where they start and how they differ.
-        until: "" runs for all of `seconds`; "penned" stops once the crowd has been penned.
-        crowd, herd, world, collie, engine, shot: See their classes. No `collie`: nobody chases anybody.
+        until: "" runs for all of `seconds`; "penned" stops once the crowd has been penned, "finished" once everybody
+            who still rides has come in.
+        crowd, world, engine, shot: See their classes.
+        herd, collie: On a field. No `collie`: nobody chases anybody.
+        peloton, user, obstacles: On a road. No `user`: the crowd rides alone.
     """
 
     name: str
@@ -344,11 +158,14 @@ class Scenario:
     frame_rate: Literal[24, 25, 30, 50, 60] = 30
     seed: Annotated[int, Within(at_least=0, at_most=_SEED_LIMIT)] = 1
     population_seed: Annotated[int, Within(at_least=0, at_most=_SEED_LIMIT)] = 1
-    until: Literal["", "penned"] = ""
+    until: Literal["", "penned", "finished"] = ""
     crowd: CrowdSettings = field(default_factory=CrowdSettings)
     herd: HerdSettings = field(default_factory=HerdSettings)
     world: WorldSettings = field(default_factory=WorldSettings)
     collie: CollieSettings | None = None
+    peloton: PelotonSettings = field(default_factory=PelotonSettings)
+    user: UserSettings | None = None
+    obstacles: tuple[ObstacleSettings, ...] = ()
     engine: EngineSettings = field(default_factory=EngineSettings)
     shot: ShotSettings = field(default_factory=ShotSettings)
 
@@ -363,8 +180,12 @@ class Scenario:
             raise SettingError("seconds", f" = {self.seconds:g}: must be at least one frame, {1 / self.frame_rate:g} s")
         if self.until == "penned" and self.world.corral is None:
             raise SettingError("until", " = 'penned': needs a world.corral")
-        self._check_start()
-        self._check_collie()
+        if self.on_road:
+            self._check_road()
+        else:
+            self._check_field()
+            self._check_start()
+            self._check_collie()
 
     # ---- sizes -----------------------------------------------------------------------------------------------------
     @property
@@ -383,7 +204,34 @@ class Scenario:
         places = hexagonal_places(crowd.count) * crowd.start_spacing
         return places + np.array(crowd.start_center) + crowd.start_jitter * jitter(crowd.count, self.population_seed)
 
+    @property
+    def on_road(self) -> bool:
+        """Whether it plays on a road."""
+        return self.world.ground == "road"
+
     # ---- checks ----------------------------------------------------------------------------------------------------
+    def _check_road(self) -> None:
+        if self.crowd.character not in RIDERS:
+            raise SettingError(
+                "crowd.character",
+                f" = {shown(self.crowd.character)}: must be one of {', '.join(RIDERS)} where world.ground is 'road'",
+            )
+        if self.crowd.positions:
+            raise SettingError("crowd.positions", ": must be left out on a road, where peloton.* says who starts where")
+        if self.collie is not None:
+            raise SettingError("collie", ": must be left out on a road; who rides along is `user`")
+
+    def _check_field(self) -> None:
+        if self.crowd.character in RIDERS:
+            raise SettingError(
+                "world.ground", f" = {shown(self.world.ground)}: must be 'road' for a {self.crowd.character}"
+            )
+        if self.until == "finished":
+            raise SettingError("until", " = 'finished': needs world.ground = 'road'")
+        for key, value in (("user", self.user), ("obstacles", self.obstacles or None)):
+            if value is not None:
+                raise SettingError(key, ": needs world.ground = 'road'")
+
     def _check_start(self) -> None:
         crowd, least = self.crowd, 2.0 * self.herd.radius
         if crowd.positions and len(crowd.positions) != crowd.count:
@@ -413,8 +261,8 @@ class Scenario:
             value = crowd.positions[index] if crowd.positions else crowd.start_center
             raise SettingError(
                 key,
-                f" = {list(value)}: agent {index} would start at {_place(positions[index])}, {where}; must be at least "
-                f"the radius, {self.herd.radius:g} m, inside every fence",
+                f" = {list(value)}: agent {index} would start at {place_text(positions[index])}, {where}; must be at "
+                f"least the radius, {self.herd.radius:g} m, inside every fence",
             )
 
     def _check_collie(self) -> None:
@@ -424,7 +272,7 @@ class Scenario:
         places += [(f"collie.waypoints[{i}]", (x, y)) for i, (_, x, y) in enumerate(self.collie.waypoints)]
         for key, place in places:
             if self.world.room(np.array(place)) <= 0.0:
-                raise SettingError(key, f": {_place(place)} must be inside the infield")
+                raise SettingError(key, f": {place_text(place)} must be inside the infield")
 
     # ---- files -----------------------------------------------------------------------------------------------------
     @classmethod
@@ -473,14 +321,3 @@ class Scenario:
     def to_toml(self) -> str:
         """The whole scenario, defaults included, as the text of a scenario file."""
         return to_toml(self.to_dict())
-
-
-def _distance_to_segment(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    along = np.clip((points - a) @ (b - a) / max(float((b - a) @ (b - a)), 1e-300), 0.0, 1.0)
-    gap = points - a - along[..., None] * (b - a)
-    return np.hypot(gap[..., 0], gap[..., 1])
-
-
-def _place(point: Iterable[float]) -> str:
-    x, y = point
-    return f"({x:.3f}, {y:.3f})"
