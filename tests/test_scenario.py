@@ -55,7 +55,7 @@ MALFORMED: list[tuple[str, str | bytes, str]] = [
     ("course without a road", '[world]\ncourse = "city-race"', "needs world.ground = 'road'"),
     ("rider on a field", '[crowd]\ncharacter = "cyclist"', "must be 'road' for a cyclist"),
     ("hopper on a road", '[world]\nground = "road"\ncourse = "city-race"', "must be one of cyclist"),
-    ("corral on a road", ROAD + "[world.corral]\nsize = 3", "must be left out"),
+    ("corral on a road", ROAD + "[world.corral]\nsize = 12", "must be left out"),
     ("collie on a road", ROAD + "[collie]\nmax_speed = 3", "must be left out on a road"),
     ("positions on a road", ROAD + "positions = [[0, 0]]", "must be left out on a road"),
     ("user on a field", "[user]\nahead = 3", "needs world.ground = 'road'"),
