@@ -25,8 +25,12 @@ from echelon.scenario import (
     CrowdSettings,
     EngineSettings,
     HerdSettings,
+    ObstacleSettings,
+    PelotonSettings,
     Scenario,
     ShotSettings,
+    TacticsSettings,
+    UserSettings,
     WorldSettings,
 )
 from echelon.settings import Within, to_toml
@@ -40,6 +44,10 @@ TABLES: Mapping[str, type] = {
     "world": WorldSettings,
     "world.corral": CorralSettings,
     "collie": CollieSettings,
+    "peloton": PelotonSettings,
+    "peloton.tactics": TacticsSettings,
+    "user": UserSettings,
+    "obstacles": ObstacleSettings,
     "engine": EngineSettings,
     "shot": ShotSettings,
 }
