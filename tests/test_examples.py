@@ -40,6 +40,21 @@ def test_herd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "the same state" in capsys.readouterr().out
 
 
+def test_bicycle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example = load("bicycle")
+    found = example.main(out=tmp_path / "bicycle.png")
+    assert found["balances itself from [m/s]"] == pytest.approx(4.292, abs=0.05)
+    assert found["up to [m/s]"] == pytest.approx(6.024, abs=0.1)
+    assert found["greatest difference from theory [1/s]"] < 0.02
+    said = capsys.readouterr().out
+    assert "at 3.0 m/s, after 8 s it has fallen" in said
+    assert "at 5.0 m/s, after 8 s it leans by 0.1 degrees" in said
+    assert (tmp_path / "bicycle.png").stat().st_size > 20_000
+    # Less trail, and it balances itself at lower speeds.
+    other = example.main(trail=0.05, out=tmp_path / "other.png")
+    assert other["up to [m/s]"] < found["up to [m/s]"] - 0.5
+
+
 def test_center_of_mass_is_that_of_the_reference() -> None:
     """The example works it out from poses; the body from its coordinates."""
     example, body = load("herd"), echelon.load_body("hopper")

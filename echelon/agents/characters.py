@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 
+from echelon.agents.cyclist import Cyclist
 from echelon.agents.hopper import Hopper
 from echelon.errors import InputError
 from echelon.warp_kernels.character import Character
 
-CHARACTERS: Mapping[str, Callable[[], Character]] = {"hopper": Hopper}
+CHARACTERS: Mapping[str, Callable[[], Character]] = {
+    "hopper": Hopper,
+    "cyclist": Cyclist,
+    "cyclist-1995": partial(Cyclist, fifteen_segments=True),
+}
 
 
 @cache

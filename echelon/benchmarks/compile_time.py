@@ -62,7 +62,8 @@ def _in_a_process(body_name: str, cache: str) -> float:
 
 def _measure(body_name: str) -> float:
     """Seconds to compile or load one body in this process."""
-    from echelon.benchmarks.engine_runs import STRIDE, bound_engine, character_of
+    from echelon.benchmarks.engine_runs import character_of, ground_of, stride_of
+    from echelon.benchmarks.timed_engine import bound_engine
     from echelon.warp_kernels.emit import cpu_compiler_flags, host_lanes
     from echelon.warp_kernels.start import start_warp
 
@@ -74,8 +75,10 @@ def _measure(body_name: str) -> float:
         numbers_out[wp.tid()] = 0.0  # pyright: ignore[reportIndexIssue] (an array in a kernel)
 
     wp.launch(nothing, dim=1, outputs=[wp.zeros(1, dtype=wp.float32, device="cpu")], device="cpu")
+    character = character_of(body_name)
+    stride, ground = stride_of(character), ground_of(character)
     start = time.perf_counter()
-    bound_engine(character_of(body_name), host_lanes(), STRIDE, "semi-implicit")
+    bound_engine(character, host_lanes(), stride, "semi-implicit", ground)
     return time.perf_counter() - start
 
 

@@ -2,6 +2,9 @@
 
 * The **hopper**'s whole substep (control, contact, dynamics, integration) while it hops, against a MuJoCo step of its
   body on its foot, with leg spring, hip springs and contact, but without control.
+* The **cyclist**'s whole substep (control, two wheels on a road that is looked up in its quadtree, the springs at
+  hands and feet, the chain, dynamics, integration) while it rides, against a MuJoCo step of its body that rolls on a
+  plane, with constraints at hands and feet and for the chain, and springs for servos, but without control.
 * **male**, **female** and other bodies: servos and dynamics in free flight, against MuJoCo with springs and dampers
   at the joints, contact off.
 
@@ -21,10 +24,13 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from echelon.agents.cyclist import Cyclist
+from echelon.agents.servo import ServoedBody
 from echelon.benchmarks.compile_time import compile_time
 from echelon.benchmarks.engine_report import LARGEST_STEP, SAME_STEP, print_table
-from echelon.benchmarks.engine_runs import HOPPER, STRIDE, Run, Stride, character_of, start_run
+from echelon.benchmarks.engine_runs import CYCLIST, HOPPER, character_of, start_run, stride_of
 from echelon.benchmarks.sanity import Verdict
+from echelon.benchmarks.timed_engine import STRIDE, Run, Stride
 from echelon.errors import InputError
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.program import Integrator
@@ -36,7 +42,7 @@ __all__ = ["engine_row", "print_table", "run_engine_benchmark"]
 
 Progress = Callable[[int, int], None]
 
-BODIES = (HOPPER, "male", "female")
+BODIES = (HOPPER, CYCLIST, "male", "female")
 AGENTS = 512
 ROUNDS = 20  # of a second each
 QUICK_AGENTS = 64
@@ -47,13 +53,15 @@ CHOOSING_ROUNDS = 3  # in which MuJoCo's integrators compete
 
 LADDER = (STRIDE, Stride(16, 4), Stride(8, 2))
 """From small steps to large, all with 120 control ticks a second."""
+RIDING_LADDER = (Stride(40, 10), Stride(36, 9), Stride(32, 8), Stride(28, 7), Stride(24, 6))
+"""Likewise."""
 FLIGHT_LADDER = (STRIDE, Stride(16, 2), Stride(10, 1), Stride(8, 1), Stride(4, 1))
 RUNGE_KUTTA_STRIDE = Stride(40, 5)  # a step at which MuJoCo's is stable too
-PEER_LADDER = (1 / 720, 1 / 480, 1 / 300, 1 / 240, 1 / 120)
+PEER_LADDER = (1 / 720, 1 / 480, 1 / 300, 1 / 240, 1 / 180, 1 / 120)
 """Of MuJoCo where there is control: a step longer than a tick would let it act less often [s]."""
-PEER_FLIGHT_LADDER = (*PEER_LADDER, 1 / 180, 1 / 120, 1 / 60)
+PEER_FLIGHT_LADDER = (*PEER_LADDER, 1 / 60)
 
-PEER_INTEGRATORS = ("euler", "implicitfast", "discrete")  # those of our default's order and cost
+PEER_INTEGRATORS = ("euler", "euler-explicit", "implicitfast", "discrete")  # those of our default's order and cost
 NO_PEER = "MuJoCo is not installed; `pip install 'echelon[bench]'` adds it"
 
 
@@ -97,11 +105,12 @@ def _jobs(name: str, quick: bool) -> list[Job]:
 
 
 def _rate_quickly(name: str, character: Character, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [*rows, engine_row(name, character, agents=QUICK_AGENTS, rounds=QUICK_ROUNDS)]
+    stride = stride_of(character)
+    return [*rows, engine_row(name, character, agents=QUICK_AGENTS, rounds=QUICK_ROUNDS, stride=stride)]
 
 
 def _rate(name: str, character: Character, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [*rows, engine_row(name, character)]
+    return [*rows, engine_row(name, character, stride=stride_of(character))]
 
 
 def _rate_of_runge_kutta(name: str, character: Character, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -109,16 +118,17 @@ def _rate_of_runge_kutta(name: str, character: Character, rows: list[dict[str, A
 
 
 def _rate_at_largest_steps(name: str, character: Character, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    stride = largest_sane_stride(character, LADDER if name == HOPPER else FLIGHT_LADDER)
-    peers = _peers_at_largest_steps(character, PEER_LADDER if name == HOPPER else PEER_FLIGHT_LADDER)
+    ladder, peer_ladder = ladders_of(character)
+    stride = largest_sane_stride(character, ladder)
+    peers = _peers_at_largest_steps(character, peer_ladder)
     return [*rows, engine_row(name, character, stride=stride, peers=peers, measure=LARGEST_STEP)]
 
 
 def _add_compile_time(name: str, character: Character, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    spent = compile_time(name)
+    spent, step = compile_time(name), stride_of(character).step
     return [
         {**row, "compile_seconds": spent.fresh, "load_seconds": spent.cached}
-        if row["body"] == name and row["integrator"] == "semi-implicit" and row["step_seconds"] == STRIDE.step
+        if row["body"] == name and row["integrator"] == "semi-implicit" and row["step_seconds"] == step
         else row
         for row in rows
     ]
@@ -246,6 +256,13 @@ def _peers_at_largest_steps(character: Character, ladder: Sequence[float]) -> li
     return list(largest.values())
 
 
+def ladders_of(character: Character) -> tuple[Sequence[Stride], Sequence[float]]:
+    """Our steps for a character, from small to large, and MuJoCo's [s]."""
+    if isinstance(character, ServoedBody):
+        return FLIGHT_LADDER, PEER_FLIGHT_LADDER
+    return RIDING_LADDER if isinstance(character, Cyclist) else LADDER, PEER_LADDER
+
+
 def largest_sane_stride(character: Character, ladder: Sequence[Stride]) -> Stride:
     """The last rung of a ladder of growing steps before the first that is not sane; the first if none is."""
     largest = ladder[0]
@@ -266,7 +283,11 @@ def largest_sane_stride(character: Character, ladder: Sequence[Stride]) -> Strid
 
 
 def _actions(name: str) -> str:
-    return "hopping at 0, 1 and 2 m/s in all directions" if name == HOPPER else "servos holding a pose in free flight"
+    if name == HOPPER:
+        return "hopping at 0, 1 and 2 m/s in all directions"
+    if name == CYCLIST:
+        return "riding at 6 m/s on a rolling road; MuJoCo: rolling unsteered from 6 m/s for 0.5 s, again and again"
+    return "servos holding a pose in free flight"
 
 
 def _machine() -> str:

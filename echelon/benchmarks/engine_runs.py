@@ -1,134 +1,82 @@
-"""Our engine's half of the race: one character on one core, timed round by round and then judged.
-
-A round is a second of simulation for everybody; it includes all that a frame takes: lookups, control, contact,
-dynamics, integration, and the observation of link poses for the recording. Kernels are compiled before the first.
-"""
+"""Our engine's half of the race: who runs and how; hoppers, and bodies in flight (for riders see `riding_run`)."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import replace
 
 import numpy as np
 
 from echelon.agents.bodies import load_body
+from echelon.agents.cyclist import Cyclist
 from echelon.agents.hopper import Hopper
 from echelon.agents.servo import ServoedBody
+from echelon.benchmarks.riding_run import RIDING_STRIDE, RidingRun, riding_ground
 from echelon.benchmarks.sanity import Verdict, fault_of_states, judge_flight, judge_hopping
+from echelon.benchmarks.timed_engine import (
+    FRAME_RATE,
+    ROUND_FRAMES,
+    STRIDE,
+    Run,
+    Stride,
+    bound_engine,
+    flat_ground,
+    timed_round,
+)
 from echelon.errors import InputError
-from echelon.scenario import WorldSettings
-from echelon.terrain.flat import FlatTerrain
 from echelon.warp_kernels.character import Character
-from echelon.warp_kernels.frame import ChunkArrays, Engine
+from echelon.warp_kernels.frame import Terrain
 from echelon.warp_kernels.program import Integrator
 from echelon.warp_kernels.reference import Body
-from echelon.warp_kernels.start import start_warp
 
-FRAME_RATE = 30  # [1/s]
-ROUND_FRAMES = 30  # one second
 SETTLING_FRAMES = 150  # hoppers get up to speed in this time
 SPEEDS = (0.0, 1.0, 2.0)  # that hoppers are asked for [m/s]
 SERVO_STIFFNESS, SERVO_DAMPING = 300.0, 20.0  # of every joint of a body in flight [N m/rad], [N m s/rad]
 SAMPLE_FRAMES = 6  # between two looks at a body in flight
 JUDGED_AGENTS = 16  # whose momentum and energy in flight are looked at, the same leaps for both engines
 
-HOPPER = "hopper"
-
-
-@dataclass(frozen=True)
-class Stride:
-    """How a frame is divided.
-
-    Attributes:
-        substeps: Substeps a frame.
-        tick: Substeps a control tick.
-    """
-
-    substeps: int
-    tick: int
-
-    @property
-    def step(self) -> float:
-        """Length of a substep [s]."""
-        return 1.0 / (FRAME_RATE * self.substeps)
-
-
-STRIDE = Stride(substeps=24, tick=6)
-"""The engine's usual one: 1/720 s, a control tick every 1/120 s."""
-
-
-class Run(Protocol):
-    """A run that is timed in rounds.
-
-    Attributes:
-        engine: The engine, compiled and bound.
-    """
-
-    engine: Engine
-
-    def round(self) -> float:
-        """Advance by one round; how long one agent's substep took [us]."""
-        ...
-
-    def verdict(self) -> Verdict:
-        """Whether all rounds so far were sane."""
-        ...
+HOPPER, CYCLIST = "hopper", "cyclist"
 
 
 def character_of(body_name: str) -> Character:
-    """Who represents a body in the race: a hopper that hops, any other body with a servo at every joint.
+    """Who represents a body in the race: a hopper that hops, a cyclist who rides, any other with a servo a joint.
 
     Raises:
         InputError: If there is no such body, or its root is not free.
     """
     if body_name == HOPPER:
         return Hopper()
+    if body_name == CYCLIST:
+        return Cyclist()
     body = load_body(body_name)
     if body.links[0].joint.kind != "free":
         raise InputError(f"body {body_name!r}: its root joint is {body.links[0].joint.kind}, must be free to fly")
     return ServoedBody(replace(body, contacts=(), springs=()), SERVO_STIFFNESS, SERVO_DAMPING)
 
 
+def stride_of(character: Character) -> Stride:
+    """How a frame is divided for a character in scenarios."""
+    return RIDING_STRIDE if isinstance(character, Cyclist) else STRIDE
+
+
+def ground_of(character: Character) -> Terrain:
+    """What a character is timed on."""
+    return riding_ground() if isinstance(character, Cyclist) else flat_ground()
+
+
 def start_run(character: Character, agents: int, stride: Stride, integrator: Integrator) -> Run:
     """The run in which a character is timed."""
     if isinstance(character, ServoedBody):
         return FlightRun(character, agents, stride, integrator)
+    if isinstance(character, Cyclist):
+        return RidingRun(character, agents, stride, integrator)
     return HoppingRun(character, agents, stride, integrator)
-
-
-def bound_engine(
-    character: Character, agents: int, stride: Stride, integrator: Integrator, lanes: int = 0
-) -> tuple[Engine, ChunkArrays]:
-    """An engine on one thread, compiled, and the chunk that it observes into."""
-    start_warp()
-    engine = Engine(
-        character,
-        agents,
-        FlatTerrain.of(WorldSettings(ground="plane", corral=None), "cpu"),
-        frame_rate=FRAME_RATE,
-        substeps=stride.substeps,
-        tick=stride.tick,
-        integrator=integrator,
-        threads=1,
-    )
-    chunk = ChunkArrays.allocate(ROUND_FRAMES, agents, character, "cpu")
-    engine.bind(chunk)
-    return engine, chunk
-
-
-def _timed_round(engine: Engine) -> float:
-    start = time.perf_counter()
-    for slot in range(ROUND_FRAMES):
-        engine.advance(slot)
-    return (time.perf_counter() - start) / (ROUND_FRAMES * engine.substeps * engine.agent_count) * 1e6
 
 
 class HoppingRun:
     """Hoppers at 0, 1 and 2 m/s, in all directions; every round goes on from the last and counts for the verdict."""
 
     def __init__(self, character: Character, agents: int, stride: Stride, integrator: Integrator) -> None:
-        self.engine, self._chunk = bound_engine(character, agents, stride, integrator)
+        self.engine, self._chunk = bound_engine(character, agents, stride, integrator, flat_ground())
         engine = self.engine
         q = np.tile(character.body.q_reference, (agents, 1))
         q[:, 2] += 0.1
@@ -149,7 +97,7 @@ class HoppingRun:
 
     def round(self) -> float:
         self._frames += ROUND_FRAMES
-        return _timed_round(self.engine)
+        return timed_round(self.engine)
 
     def verdict(self) -> Verdict:
         engine = self.engine
@@ -163,7 +111,7 @@ class FlightRun:
     """A servoed body in free flight; every round starts from the same tumbling, twisted states."""
 
     def __init__(self, character: ServoedBody, agents: int, stride: Stride, integrator: Integrator) -> None:
-        self.engine, self._chunk = bound_engine(character, agents, stride, integrator)
+        self.engine, self._chunk = bound_engine(character, agents, stride, integrator, flat_ground())
         self._stiffness = max(character.stiffness)
         q, u = flight_states(character.body, agents)
         self.engine.set_q(q)
@@ -173,7 +121,7 @@ class FlightRun:
 
     def round(self) -> float:
         self.engine.load_full_state(self._start)
-        microseconds = _timed_round(self.engine)
+        microseconds = timed_round(self.engine)
         self._end = self.engine.full_state()
         return microseconds
 

@@ -3,7 +3,8 @@
 Every link becomes one MuJoCo body at its joint's position: a pin one hinge, a universal joint two and a gimbal three
 hinges in the same place, a slider a slide joint, ball and free what they are there. Inertia goes in as a full tensor
 about the centre of mass. What is asked for is added: springs and dampers at the joints in place of servos, a floor
-under the contact sites. Springs between links, walls and joint limits are left out.
+under the contact sites, `connect` constraints in place of springs between links, `joint` constraints in place of
+gears. Walls and joint limits are left out.
 
 Coordinates mean the same on both sides, so conversion is a permutation (`CoordinateOrder`): MuJoCo orders bodies
 depth first and writes quaternions w first.
@@ -16,30 +17,46 @@ MuJoCo is an optional extra: importing this module without it raises ModuleNotFo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from echelon.warp_kernels.model import ContactSite, Link, Model
+from echelon.warp_kernels.model import ContactSite, Link, Model, Spring, Use
 
 _QUATERNION_WXYZ = (3, 0, 1, 2)  # where w x y z stand among our x y z w
+
+EXPLICIT_DAMPING = "euler-explicit"
+"""What we call MuJoCo's Euler without the implicit joint damping of its default, which costs a factorisation."""
 
 INTEGRATORS: Mapping[str, Any] = {
     name: mujoco.mjtIntegrator.__members__[member]
     for name, member in (
         ("euler", "mjINT_EULER"),
+        (EXPLICIT_DAMPING, "mjINT_EULER"),
         ("implicitfast", "mjINT_IMPLICITFAST"),
         ("discrete", "mjINT_DISCRETE"),  # since 3.13: stiffness implicit too
         ("rk4", "mjINT_RK4"),
     )
     if member in mujoco.mjtIntegrator.__members__
 }
-"""Integrators that the installed MuJoCo has, by the names that it gives them in XML."""
+"""Integrators that the installed MuJoCo has, by the names that it gives them in XML, and `EXPLICIT_DAMPING`."""
 
 VERSION: str = mujoco.__version__
+
+
+@contextmanager
+def without_log() -> Iterator[None]:
+    """MuJoCo writes a file into the current folder when a simulation blows up; here that is looked for and reported."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 @dataclass(frozen=True)
@@ -55,22 +72,44 @@ class JointSpring:
     damping: float
 
 
+@dataclass(frozen=True)
+class Coupling:
+    """Two joints of one axis that turn together.
+
+    Attributes:
+        driven, driving: Their names.
+        ratio: Turns of the first for a turn of the second.
+    """
+
+    driven: str
+    driving: str
+    ratio: float
+
+
 def peer_model(
     model: Model,
     *,
     springs: Mapping[str, Sequence[JointSpring]] | None = None,
     floor: bool = False,
+    use: Use | None = None,
+    tied: bool = False,
+    couplings: Sequence[Coupling] = (),
     step: float = 1.0 / 1200.0,
     integrator: str = "euler",
     energy: bool = False,
 ) -> mujoco.MjModel:
     """Compile a body for MuJoCo.
 
+    Where nothing is asked for that needs them, MuJoCo's constraints are switched off altogether, which is faster. Its
+    solver is its default, Newton's method with pyramidal friction cones and a dense Jacobian.
+
     Args:
         model: The body.
         springs: By name of the joint, one for each of its axes (one for a ball joint).
-        floor: Whether its ground contact sites are spheres and ellipsoids over a floor at z = 0. Without it MuJoCo's
-            constraints are switched off altogether, which is faster.
+        floor: Whether its ground contact sites are spheres and ellipsoids over a floor at z = 0.
+        use: Which of these sites, "usual" or "rare"; None for all.
+        tied: Whether each spring between two links becomes a constraint that keeps its ends together.
+        couplings: Joints that turn together.
         step: Time step [s].
         integrator: One of `INTEGRATORS`.
         energy: Whether MuJoCo computes energies in every step, which costs a little.
@@ -81,15 +120,19 @@ def peer_model(
     spec.option.gravity = [0.0, 0.0, -model.gravity]
     spec.option.timestep = step
     spec.option.integrator = INTEGRATORS[integrator]
-    # A state that blows up must be seen, not quietly put back to the start.
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    spec.option.disableflags |= _switched_off(
+        # A state that blows up must be seen, not quietly put back to the start.
+        "AUTORESET",
+        # Looking for islands among constraints costs, and a single body is one.
+        "ISLAND",
+        *(["EULERDAMP"] if integrator == EXPLICIT_DAMPING else []),
+        *(["CONSTRAINT"] if not (floor or tied or couplings) else []),
+    )
     if energy:
         spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     if floor:
         # What touches meets the floor and nothing else.
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], contype=0, conaffinity=1)
-    else:
-        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     bodies = {}
     for link in model.links:
         parent = spec.worldbody if link.parent is None else bodies[link.parent]
@@ -103,9 +146,31 @@ def peer_model(
         bodies[link.name] = body
     if floor:
         for site in model.contacts:
-            if site.surface == "ground":
+            if site.surface == "ground" and use in (None, site.use):
                 _add_site(bodies[site.link], site)
+    for spring in model.springs if tied else ():
+        _add_tie(spec, bodies, spring)
+    for coupling in couplings:
+        equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT)
+        equality.name1, equality.name2 = f"{coupling.driven} 0", f"{coupling.driving} 0"
+        # A polynomial, lowest order first.
+        equality.data[:5] = [0.0, coupling.ratio, 0.0, 0.0, 0.0]
     return spec.compile()
+
+
+def _switched_off(*flags: str) -> int:
+    """MuJoCo's bits for what it is not to do; what an older one does not know it does not do either."""
+    known = mujoco.mjtDisableBit.__members__
+    return sum(int(known[f"mjDSBL_{flag}"]) for flag in flags if f"mjDSBL_{flag}" in known)
+
+
+def _add_tie(spec: mujoco.MjSpec, bodies: Mapping[str, mujoco.MjsBody], spring: Spring) -> None:
+    ends = (spring.link_a, spring.position_a), (spring.link_b, spring.position_b)
+    names = f"{spring.name} a", f"{spring.name} b"
+    for name, (link, position) in zip(names, ends, strict=True):
+        (spec.worldbody if link is None else bodies[link]).add_site(name=name, pos=position)
+    equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_SITE)
+    equality.name1, equality.name2 = names
 
 
 def _add_joints(body: mujoco.MjsBody, link: Link, springs: Sequence[JointSpring]) -> None:

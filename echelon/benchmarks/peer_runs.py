@@ -6,17 +6,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Protocol
 
 import mujoco
 import numpy as np
 
 from echelon.agents import hopper
+from echelon.agents.cyclist import Cyclist
 from echelon.agents.servo import ServoedBody
 from echelon.benchmarks.engine_runs import JUDGED_AGENTS, flight_states
-from echelon.benchmarks.mujoco_peer import CoordinateOrder, JointSpring, peer_model
+from echelon.benchmarks.mujoco_peer import CoordinateOrder, JointSpring, peer_model, without_log
+from echelon.benchmarks.rolling_peer import RollingPeer
 from echelon.benchmarks.sanity import Verdict, judge_flight, judge_standing
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.model import Q_COUNT
@@ -53,21 +53,12 @@ class PeerRun(Protocol):
         ...
 
 
-@contextmanager
-def _without_log() -> Iterator[None]:
-    """MuJoCo writes a file into the current folder when a simulation blows up; here that is looked for and reported."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
-
-
 def start_peer(character: Character, step: float, integrator: str) -> PeerRun:
     """The run in which MuJoCo is timed on a character's body."""
     if isinstance(character, ServoedBody):
         return FlightPeer(character, step, integrator)
+    if isinstance(character, Cyclist):
+        return RollingPeer(character, step, integrator)
     return StandingPeer(character.body, step, integrator)
 
 
@@ -107,7 +98,7 @@ class StandingPeer:
         return seconds / (STANDING_STARTS * steps) * 1e6
 
     def verdict(self) -> Verdict:
-        with _without_log():
+        with without_log():
             return self._judged()
 
     def _judged(self) -> Verdict:
@@ -157,7 +148,7 @@ class FlightPeer:
         return seconds / (FLIGHT_STARTS * steps) * 1e6
 
     def verdict(self) -> Verdict:
-        with _without_log():
+        with without_log():
             return self._judged()
 
     def _judged(self) -> Verdict:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from echelon.cli.course import app as course_app
 from echelon.cli.progress import Progress, Reporter, size
 from echelon.cli.running import Failure, announce, check_products, only_json, run_and_report, shot_options
 from echelon.errors import InputError
@@ -136,6 +137,7 @@ class Study(StrEnum):
     """What can be measured."""
 
     ENGINE = "engine"
+    BICYCLE = "bicycle"
 
 
 RepresentationOption = Annotated[
@@ -363,18 +365,29 @@ def plot(
 
 
 # ---- bench, list, describe -----------------------------------------------------------------------------------------
-@_command("bench", "  echelon bench engine\n  echelon bench engine --json > engine.json")
+@_command("bench", "  echelon bench engine\n  echelon bench engine --json > engine.json\n  echelon bench bicycle")
 def bench(
-    study: Annotated[Study, typer.Argument(help="engine: how fast bodies are simulated, beside MuJoCo.")],
+    study: Annotated[
+        Study,
+        typer.Argument(
+            help="engine: how fast bodies are simulated, beside MuJoCo; "
+            "bicycle: whether one balances itself at the speeds at which it should."
+        ),
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON array, and nothing else.")] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how fast Echelon is on this machine."""
-    from echelon.benchmarks.engine import print_table, run_engine_benchmark
+    """Measure how fast Echelon is on this machine, or how true."""
+    if study is Study.BICYCLE:
+        from echelon.benchmarks.bicycle import print_table
+        from echelon.benchmarks.bicycle import run_bicycle_benchmark as run_benchmark
+    else:
+        from echelon.benchmarks.engine import print_table
+        from echelon.benchmarks.engine import run_engine_benchmark as run_benchmark
 
     reporter = Reporter(quiet or as_json)
     with only_json(as_json), reporter.progress(f"bench {study}", "measurements") as progress:
-        rows = run_engine_benchmark(progress=progress)
+        rows = run_benchmark(progress=progress)
     if as_json:
         print(json.dumps(rows))
     else:
@@ -413,3 +426,6 @@ def describe(
 
     data, text = described(what)
     print(json.dumps(data) if as_json else text)
+
+
+app.add_typer(course_app)

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.export.light import MOVING_SHADOWS, SHADOW_COLOR, flattened, lit
+from echelon.export.drawn_parts import DrawnPart
+from echelon.export.light import LEVEL, MOVING_SHADOWS, SHADOW_COLOR, flattened, lit
 from echelon.export.mesh_parts import separate_parts
-from echelon.export.picture_source import DrawnCast, DrawnPart
+from echelon.export.picture_source import DrawnCast
 from echelon.export.renderer import Surface, joined
 
 _UNKNOWN_COLOR = (0.5, 0.5, 0.5)  # of an actor's part without a colour of its own
@@ -53,11 +54,12 @@ class DrawnBodies:
         height = self._shadow_heights.reshape(-1)[self._triangles[:, 0]]
         self._shadow_triangles = self._triangles[np.argsort(-height, kind="stable")]
 
-    def surfaces(self, poses: np.ndarray) -> tuple[Surface, Surface]:
+    def surfaces(self, poses: np.ndarray, ground: np.ndarray = LEVEL) -> tuple[Surface, Surface]:
         """The bodies and their shadows.
 
         Args:
             poses: Of the links, shape [bodies, links, 7]; links beyond those that are drawn are ignored.
+            ground: The plane beneath each body, n . x = d, broadcast to shape [bodies, 4].
         """
         rotations = rotation_matrices(poses[..., 3:]).astype(np.float32)
         places = poses[..., :3].astype(np.float32)
@@ -69,7 +71,7 @@ class DrawnBodies:
         all_points = np.concatenate(points, axis=1)
         opaque = np.ones((*all_points.shape[:2], 1), dtype=np.float32)
         colors = np.concatenate([lit(self._albedo, np.concatenate(normals, axis=1)), opaque], axis=2)
-        flat = flattened(all_points, self._shadow_heights)
+        flat = flattened(all_points, self._shadow_heights, ground[..., None, :])
         dark = np.broadcast_to(SHADOW_COLOR, colors.shape)
         return (
             Surface(all_points.reshape(-1, 3), colors.reshape(-1, 4), self._triangles),
@@ -85,13 +87,26 @@ class MovingScene:
         self._agent_counts = [len(cast.colors) for cast in casts]
         self._actors = [DrawnBodies([parts], np.array([_UNKNOWN_COLOR])) for parts in actors]
 
-    def surfaces(self, link_poses: np.ndarray, actor_poses: np.ndarray) -> list[Surface]:
-        """Bodies, then shadows; link poses [agents, links, 7] and actor poses [actors, 7]."""
+    def surfaces(
+        self, link_poses: np.ndarray, actor_poses: np.ndarray, ground: np.ndarray | None = None
+    ) -> list[Surface]:
+        """Bodies, then shadows.
+
+        Args:
+            link_poses: Of the agents, shape [agents, links, 7].
+            actor_poses: Of the actors, shape [actors, 7].
+            ground: The plane beneath each agent, then beneath each actor, n . x = d, shape [agents + actors, 4]; None
+                where it is level, at z = 0.
+        """
+        if ground is None:
+            ground = np.broadcast_to(LEVEL, (len(link_poses) + len(actor_poses), 4))
         found = [
-            bodies.surfaces(link_poses[first : first + count])
+            bodies.surfaces(link_poses[first : first + count], ground[first : first + count])
             for (first, bodies), count in zip(self._casts, self._agent_counts, strict=True)
         ]
-        found += [bodies.surfaces(actor_poses[index : index + 1, None]) for index, bodies in enumerate(self._actors)]
+        for index, bodies in enumerate(self._actors):
+            beneath = ground[len(link_poses) + index, None]
+            found.append(bodies.surfaces(actor_poses[index : index + 1, None], beneath))
         return [joined([solid for solid, _ in found]), joined([shadow for _, shadow in found])]
 
 

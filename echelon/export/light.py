@@ -1,4 +1,4 @@
-"""Sunlight and skylight at vertices, and the shadows that the sun throws on flat ground.
+"""Sunlight and skylight at vertices, and the shadows that the sun throws on ground that is flat nearby.
 
 A shadow is the body itself, flattened along the sun's rays, drawn dark and half transparent. Where flattened parts
 overlap they must not darken twice: each part lies a hair lower than the one drawn before it, so the depth test rejects
@@ -67,14 +67,20 @@ def display_encoded(linear: np.ndarray) -> np.ndarray:
     return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** np.float32(1.0 / 2.4) - 0.055)
 
 
-def flattened(points: np.ndarray, heights: np.ndarray) -> np.ndarray:
-    """Points moved along the sun's rays on to horizontal planes [m].
+LEVEL = np.array([0.0, 0.0, 1.0, 0.0])
+"""The plane z = 0 as (n_x, n_y, n_z, d), n . x = d."""
+
+
+def flattened(points: np.ndarray, heights: np.ndarray, planes: np.ndarray = LEVEL) -> np.ndarray:
+    """Points moved along the sun's rays on to planes [m].
 
     Args:
         points: [m], shape [..., 3]; those below the ground stay beneath themselves.
-        heights: Of the plane for each point [m], broadcast to shape [...].
+        heights: Above the ground, of the layer for each point [m], broadcast to shape [...].
+        planes: The ground for each point as (n_x, n_y, n_z, d), n . x = d, broadcast to shape [..., 4].
     """
-    fall = np.maximum(points[..., 2:3], 0.0)
-    flat = points - fall * (SUN / SUN[2]).astype(points.dtype)
-    flat[..., 2] = heights
-    return flat
+    normals = planes[..., :3].astype(points.dtype)
+    above = np.sum(points * normals, axis=-1) - planes[..., 3].astype(points.dtype)
+    fall = np.maximum(above, 0.0) / (normals @ SUN.astype(points.dtype))
+    lift = (heights - np.minimum(above, 0.0))[..., None] * normals
+    return (points - fall[..., None] * SUN.astype(points.dtype) + lift).astype(points.dtype)

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from echelon.errors import InputError
-from echelon.export.shapes import Mesh, bicycle_visuals, fence_mesh, visual_mesh
+from echelon.export.actor_looks import actor_visuals
+from echelon.export.drawn_parts import DrawnPart, parts_of
+from echelon.export.drawn_road import DrawnRoad, drawn_road
+from echelon.export.road_scene import is_road, road_scene
+from echelon.export.shapes import Mesh, fence_mesh
 from echelon.recording import Recording
-from echelon.warp_kernels.model import Vec3, Visual
 
 PEN_NAME = "corral"  # the fence that has a floor of its own
-
-
-@dataclass(frozen=True)
-class DrawnPart:
-    """Shapes of one colour on a link.
-
-    Attributes:
-        mesh: In the link's frame, of convex pieces [m].
-        color: Linear RGB from 0 to 1, or None for the colour of the individual.
-    """
-
-    mesh: Mesh
-    color: Vec3 | None
 
 
 @dataclass(frozen=True)
@@ -68,11 +58,13 @@ class DrawnWorld:
         oval: Half length and half width of the infield, half circles included [m]; None for open ground.
         fences: All of them.
         pen: The corral, if there is one.
+        road: The road and what is around it, if it is one; there is nothing else then.
     """
 
     oval: tuple[float, float] | None
     fences: tuple[DrawnFence, ...]
     pen: DrawnPen | None
+    road: DrawnRoad | None = None
 
 
 class PictureSource(Protocol):
@@ -101,7 +93,7 @@ class PictureSource(Protocol):
         ...
 
     def body_places(self, first: int, last: int) -> np.ndarray:
-        """Where the agents are on the ground [m], shape [frames, agents, 2]."""
+        """Where the agents' root links are [m], shape [frames, agents, 3]."""
         ...
 
 
@@ -118,12 +110,12 @@ class RecordedSource:
         self.casts = tuple(
             DrawnCast(
                 first_agent=cast.first_agent,
-                links=tuple(_parts(link.visuals) for link in cast.body.links),
+                links=tuple(parts_of(link.visuals) for link in cast.body.links),
                 colors=np.asarray(cast.colors, dtype=np.float32).reshape(-1, 3),
             )
             for cast in recording.casts
         )
-        self.actors = tuple(_parts(bicycle_visuals()) for _ in recording.actors)
+        self.actors = tuple(parts_of(actor_visuals(actor)) for actor in recording.actors)
         self.world = _drawn_world(recording.world)
 
     def link_poses(self, first: int, last: int) -> np.ndarray:
@@ -133,10 +125,12 @@ class RecordedSource:
         return np.asarray(self._recording.actor_poses[first:last], dtype=np.float64)
 
     def body_places(self, first: int, last: int) -> np.ndarray:
-        return np.asarray(self._recording.link_poses[first:last, :, 0, :2], dtype=np.float64)
+        return np.asarray(self._recording.link_poses[first:last, :, 0, :3], dtype=np.float64)
 
 
 def _drawn_world(world: Mapping[str, Any]) -> DrawnWorld:
+    if is_road(world):
+        return DrawnWorld(None, (), None, drawn_road(road_scene(world)))
     ground, corral = world["ground"], world.get("corral")
     return DrawnWorld(
         oval=(float(ground["half_length"]), float(ground["half_width"])) if ground["shape"] == "oval" else None,
@@ -148,7 +142,3 @@ def _drawn_world(world: Mapping[str, Any]) -> DrawnWorld:
         if corral is None
         else DrawnPen((float(corral["center"][0]), float(corral["center"][1])), float(corral["size"])),
     )
-
-
-def _parts(visuals: Sequence[Visual]) -> tuple[DrawnPart, ...]:
-    return tuple(DrawnPart(visual_mesh(visual), visual.color) for visual in visuals)

@@ -9,22 +9,23 @@ from contextlib import closing
 from fractions import Fraction
 from numbers import Real
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from echelon.errors import InputError
-from echelon.export.camera import OVERVIEW_ELEVATION, View, fixed_view, following_views, smoothing_frames
+from echelon.export.camera import View
 from echelon.export.drawn_bodies import MovingScene
+from echelon.export.drawn_road import DrawnRoad
 from echelon.export.film import FilmWriter
 from echelon.export.picture_files import checked_path, replacing
 from echelon.export.picture_source import PictureSource, RecordedSource
 from echelon.export.renderer import Renderer
+from echelon.export.road_scenery import RoadScenery, Window
 from echelon.export.scenery import scenery
+from echelon.export.shot_views import Camera, ShotViews
 from echelon.recording import Recording
 
-Camera = Literal["follow", "overview", "corral"] | View
 Progress = Callable[[int, int], None]
 Source = Recording | str | os.PathLike[str]
 
@@ -60,8 +61,10 @@ def render_film(
         fps: Pictures a second; None for the recording's frame rate. Each shows the nearest frame.
         start: Time of the first picture [s]; None for the beginning.
         seconds: How long [s]; None for the rest. What reaches beyond the end is left out.
-        camera: "follow" keeps all bodies in the picture, and actors that are near; "overview" shows the whole field,
-            "corral" the corral; or a `View`.
+        camera: In a field, "follow" keeps all bodies in the picture, and actors that are near, "overview" shows all of
+            it, "corral" the corral. On a road, "follow" rides behind the group, "helicopter" flies above it,
+            "roadside" stands beside the road and turns with it, and "overview" shows where all ride from one place.
+            Or a `View`.
         progress: Called with (pictures done, pictures to do).
 
     Raises:
@@ -125,7 +128,7 @@ def render_strip(
         start: Time of the first [s]; None for the beginning.
         count: How many; None for as many as there are, five at most. More than six go into several rows.
         size: Of one snapshot, width and height [pixels].
-        camera: None frames all bodies of all snapshots; otherwise "overview", "corral" or a `View`.
+        camera: None frames all bodies of all snapshots; otherwise as for `render_film`, but that "follow" does not.
         progress: Called with (snapshots done, snapshots to do).
 
     Raises:
@@ -164,10 +167,7 @@ class _Shot:
         self.source = source
         self.path = checked_path(path, suffixes)
         self.size = _checked_size(self.path, size)
-
-    @property
-    def aspect(self) -> float:
-        return self.size[0] / self.size[1]
+        self._views = ShotViews(source, self.path, self.size[0] / self.size[1])
 
     def frame(self, key: str, time: float) -> int:
         """The frame nearest to a time [s]; raises InputError where the run has none."""
@@ -178,66 +178,42 @@ class _Shot:
 
     def pictures(self, frames: Sequence[int], camera: Camera) -> Generator[np.ndarray]:
         """RGB pictures of frames, in ascending order, as uint8 [height, width, 3]."""
-        views = self._views(frames, camera)
+        views = self._views.views(frames, camera)
+        moving = MovingScene(self.source.casts, self.source.actors)
+        if self.source.world.road is not None:
+            return self._on_a_road(self.source.world.road, frames, views, moving)
+        return self._in_a_field(frames, views, moving)
+
+    def _in_a_field(self, frames: Sequence[int], views: Sequence[View], moving: MovingScene) -> Generator[np.ndarray]:
         targets = np.array([view.target for view in views])[:, :2]
         low, high = targets.min(axis=0), targets.max(axis=0)
         # Single precision is fine near the action, wherever in the world that is.
         origin = np.round(0.5 * (low + high))
         shift = np.array([origin[0], origin[1], 0.0])
-        moving = MovingScene(self.source.casts, self.source.actors)
         with Renderer(self.size, scenery(self.source.world, low, high, origin)) as renderer:
             for view, (links, actors) in zip(views, self._poses(frames), strict=True):
                 surfaces = moving.surfaces(_moved(links, -shift), _moved(actors, -shift))
                 yield renderer.draw(view.moved(-shift), surfaces)
 
+    def _on_a_road(
+        self, road: DrawnRoad, frames: Sequence[int], views: Sequence[View], moving: MovingScene
+    ) -> Generator[np.ndarray]:
+        beside = RoadScenery(road)
+        window: Window | None = None
+        with Renderer(self.size, []) as renderer:
+            for view, (links, actors) in zip(views, self._poses(frames), strict=True):
+                cell = beside.cell(view.eye)
+                if window is None or cell != window.cell:
+                    window = beside.window(cell)
+                    renderer.replace_scenery(window.surfaces)
+                ground = beside.shadow_planes(np.concatenate([links[:, 0, :3], actors[:, :3]]))
+                ground[:, 3] -= ground[:, :3] @ window.origin
+                surfaces = moving.surfaces(_moved(links, -window.origin), _moved(actors, -window.origin), ground)
+                yield renderer.draw(view.moved(-window.origin), surfaces)
+
     def common_view(self, frames: Sequence[int]) -> View:
         """One view of all bodies at all of some frames."""
-        places = [self._places(frame, frame + 1)[0].reshape(-1, 2) for frame in frames]
-        return fixed_view(np.concatenate(places), self.aspect)
-
-    def _views(self, frames: Sequence[int], camera: Camera) -> list[View]:
-        if isinstance(camera, View):
-            if not camera.eye[2] > 0.0:
-                raise InputError(f"{self.path}: the camera's eye is at z = {camera.eye[2]:g} m, must be above 0")
-            return [camera] * len(frames)
-        match camera:
-            case "follow":
-                return self._following(frames)
-            case "overview":
-                return [self._overview(frames)] * len(frames)
-            case "corral":
-                return [self._corral_view()] * len(frames)
-        raise InputError(f"{self.path}: camera {camera!r} is not one of follow, overview, corral")
-
-    def _following(self, frames: Sequence[int]) -> list[View]:
-        reach = 2 * smoothing_frames(self.source.frame_rate)
-        first = max(frames[0] - reach, 0)
-        last = min(frames[-1] + reach + 1, self.source.frame_count)
-        bodies, actors = self._places(first, last)
-        views = following_views(bodies, actors, self.source.frame_rate, self.aspect)
-        return [views[frame - first] for frame in frames]
-
-    def _overview(self, frames: Sequence[int]) -> View:
-        fences = [fence.mesh.points[:, :2].astype(np.float64) for fence in self.source.world.fences]
-        shown = np.concatenate(fences) if fences else self._places(frames[0], frames[-1] + 1)[0].reshape(-1, 2)
-        return fixed_view(shown, self.aspect, OVERVIEW_ELEVATION)
-
-    def _corral_view(self) -> View:
-        pen = self.source.world.pen
-        if pen is None:
-            raise InputError(f"{self.path}: camera 'corral' needs a corral, and this run has none")
-        half = 0.5 * pen.size + 1.0
-        corners = np.asarray(pen.center) + half * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
-        return fixed_view(corners, self.aspect)
-
-    def _places(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
-        """Places of bodies [frames, agents, 2] and of actors [frames, actors, 2], last left out [m]."""
-        bodies, actors = [], []
-        for begin in range(first, last, _FRAMES_AT_ONCE):
-            end = min(begin + _FRAMES_AT_ONCE, last)
-            bodies.append(self.source.body_places(begin, end))
-            actors.append(self.source.actor_poses(begin, end)[:, :, :2])
-        return np.concatenate(bodies), np.concatenate(actors)
+        return self._views.common(frames)
 
     def _poses(self, frames: Sequence[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Link and actor poses of ascending frames, read many at once."""

@@ -87,9 +87,8 @@ class Renderer:
         # else's: OSError, AttributeError, AssertionError, PyOpenGL's own. For the user they are one thing.
         except Exception as error:
             raise RenderingUnavailable(_unavailable(error)) from error
-        for surface in scenery:
-            # Transparent scenery comes after what moves, so that it stays behind moving shadows.
-            self._add(surface, order=1 if surface.is_opaque else 3)
+        self._scenery: list[Node] = []
+        self.replace_scenery(scenery)
 
     def __enter__(self) -> Renderer:
         return self
@@ -102,6 +101,15 @@ class Renderer:
     def close(self) -> None:
         """Give the context back; the renderer cannot draw any more."""
         self._offscreen.delete()
+
+    def replace_scenery(self, scenery: Sequence[Surface]) -> None:
+        """Keep other surfaces in every picture from now on, instead of those that were kept before."""
+        for node in self._scenery:
+            self._scene.remove_node(node)
+        # Transparent scenery comes after what moves, so that it stays behind moving shadows.
+        self._scenery = [
+            self._add(surface, order=1 if surface.is_opaque else 3) for surface in scenery if len(surface.points)
+        ]
 
     def draw(self, view: View, moving: Sequence[Surface]) -> np.ndarray:
         """One picture.

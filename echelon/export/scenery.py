@@ -58,8 +58,8 @@ def scenery(world: DrawnWorld, low: np.ndarray, high: np.ndarray, origin: np.nda
         solid.append(_matt(fence.mesh, PEN_RAILS if fence.name == PEN_NAME else RAILS))
         shadows.append(_standing_shadow(fence.mesh))
     # Last what is behind everything: the depth test then spares the rasteriser most of it.
-    hills = [_hills(middle, 500.0, 14.0, 0.45), _hills(middle, 1000.0, 45.0, 0.7)]
-    solid += [_far_ground(middle, edge), *hills, _sky(middle)]
+    ranges = [hills(middle, 500.0, 14.0, 0.45), hills(middle, 1000.0, 45.0, 0.7)]
+    solid += [_far_ground(middle, edge), *ranges, sky(middle)]
     merged = [joined(solid), joined(shadows)] if shadows else [joined(solid)]
     shift = np.array([origin[0], origin[1], 0.0])
     return [
@@ -137,7 +137,7 @@ def _far_ground(middle: np.ndarray, edge: np.ndarray) -> Surface:
     return Surface(points.reshape(-1, 3), _with_opacity(colors.reshape(-1, 3)), _bands(len(outward) - 1))
 
 
-def _hills(middle: np.ndarray, radius: float, height: float, haze: float) -> Surface:
+def hills(middle: np.ndarray, radius: float, height: float, haze: float) -> Surface:
     """A ring of hills far away: radius and mean height [m], and how much of their colour is lost in haze."""
     angle = 2.0 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
     crest = height * (
@@ -153,7 +153,7 @@ def _hills(middle: np.ndarray, radius: float, height: float, haze: float) -> Sur
     return Surface(points.reshape(-1, 3), _with_opacity(colors), _bands(1))
 
 
-def _sky(middle: np.ndarray) -> Surface:
+def sky(middle: np.ndarray) -> Surface:
     """Half a sphere around everything, from haze to blue."""
     elevation = np.radians([-3.0, 0.0, 4.0, 12.0, 30.0, 89.0])
     blue = np.array([0.0, 0.0, 0.18, 0.45, 0.8, 1.0])

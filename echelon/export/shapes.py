@@ -2,7 +2,7 @@
 
 Every mesh has one normal a point; edges that are to look sharp have their points twice. Faces wind counter-clockwise
 seen from outside. Poles of ellipsoids and capsules are triangles, the ends of cylinders one polygon each, the rest
-quadrilaterals: few faces, round silhouettes.
+quadrilaterals: few faces, round silhouettes. A torus is quadrilaterals all round.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ BANDS_ELLIPSOID = 8
 SEGMENTS_CAPSULE = 10  # around; with 3 bands a cap 120 triangles
 BANDS_CAP = 3
 SEGMENTS_CYLINDER = 16  # around; 60 triangles
+SEGMENTS_TORUS = 32  # around the ring; with 6 around its section 384 triangles
+SEGMENTS_SECTION = 6
 SEGMENTS_HALF_CIRCLE = 48  # of the oval's outline
 
 POST_SPACING = 2.0  # [m] between fence posts, at most
@@ -259,6 +261,7 @@ def _shape_mesh(shape: VisualShape, size: Vec3) -> Mesh:
         "capsule": _capsule,
         "cylinder": _cylinder,
         "box": _box,
+        "torus": _torus,
     }
     return builders[shape](size)
 
@@ -296,6 +299,23 @@ def _cylinder(size: Vec3) -> Mesh:
     sides = np.column_stack([here, n + here, n + after, after]).reshape(-1)
     indices = np.concatenate([sides, 2 * n + here, (3 * n + here)[::-1]])
     return _mesh(points, normals, np.array([4] * n + [n, n]), indices)
+
+
+def _torus(size: Vec3) -> Mesh:
+    ring, section, _ = size
+    n, m = SEGMENTS_TORUS, SEGMENTS_SECTION
+    around = (2.0 * np.pi * np.arange(n) / n)[:, None]
+    across = (2.0 * np.pi * np.arange(m) / m)[None, :]
+    outward = np.broadcast_to(np.cos(across), (n, m))
+    normals = np.stack(
+        [outward * np.cos(around), outward * np.sin(around), np.broadcast_to(np.sin(across), (n, m))], axis=-1
+    )
+    centers = ring * np.stack([np.cos(around), np.sin(around), np.zeros((n, 1))], axis=-1)
+    here = (m * np.arange(n)[:, None] + np.arange(m)).reshape(-1)
+    ahead = np.roll(here.reshape(n, m), -1, axis=0).reshape(-1)
+    above, both = (np.roll(row.reshape(n, m), -1, axis=1).reshape(-1) for row in (here, ahead))
+    faces = np.column_stack([here, ahead, both, above]).reshape(-1)
+    return _mesh((centers + section * normals).reshape(-1, 3), normals.reshape(-1, 3), np.full(n * m, 4), faces)
 
 
 def _box(size: Vec3) -> Mesh:

@@ -5,8 +5,8 @@
     /<scenario>                assembly, the default prim; all else is beneath it
         Looks                  materials; colours come from displayColor
         Assets                 abstract character assets, see `characters`
-        World                  ground and fences
-        Actors                 the collie
+        World                  ground and fences, or a road and what is around it
+        Actors                 the collie, the user, a jogger
         Crowd                  variant set "representation": rig, skel or points
         Lights, Cameras
 
@@ -21,21 +21,37 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from pxr import Sdf
+from pxr import Sdf, Usd
 
 from echelon.errors import InputError
+from echelon.export.road_cameras import ROAD_CAMERAS, camera_way
+from echelon.export.road_scene import RoadScene, is_road, road_scene
 from echelon.export.stage import scene
-from echelon.export.stage.camera import framed
+from echelon.export.stage.camera import APERTURE, CameraMove, framed, looking
 from echelon.export.stage.characters import define_links, define_rig, define_skel
+from echelon.export.stage.clips import (
+    CROWD,
+    MANIFEST,
+    SUFFIX,
+    Stretch,
+    add_to_manifest,
+    author_clip_set,
+    check_clips_folder,
+    remove_clips,
+    replacing_clips,
+    stretches,
+)
 from echelon.export.stage.layer_files import checked_stage_path, save_layer
-from echelon.export.stage.motion import CastMotion, read_motion
-from echelon.export.stage.points import author_points
+from echelon.export.stage.motion import CastMotion, read_motion, shown
+from echelon.export.stage.points import author_points, points_origin
 from echelon.export.stage.rig import author_rigs
 from echelon.export.stage.skel import author_skels
+from echelon.export.stage.time_samples import Timing
 from echelon.recording import Recording
 
 Representation = Literal["rig", "skel", "points"]
@@ -43,11 +59,21 @@ Progress = Callable[[int, int], None]
 
 VARIANT_SET = "representation"
 RIG_AGENT_LIMIT = 150  # beyond which rigs make a stage that is slow to open
+LARGEST_FILE_TRANSFORMS = 3_000_000  # of links, over all frames, in one file; more are written clip by clip
+CLIP_TRANSFORMS = 500_000  # of links, over the frames of a value clip
 
 
 def suggested_representation(agent_count: int) -> Representation:
     """``rig`` for as many agents as tools open at ease, ``points`` for more."""
     return "rig" if agent_count <= RIG_AGENT_LIMIT else "points"
+
+
+def suggested_clip_frames(recording: Recording) -> int:
+    """How many frames of a run to write to each value clip; 0 for a run that is short enough for one file."""
+    frame_transforms = sum(cast.agent_count * len(cast.body.links) for cast in recording.casts)
+    if frame_transforms * recording.frame_count <= LARGEST_FILE_TRANSFORMS:
+        return 0
+    return max(CLIP_TRANSFORMS // frame_transforms, 2)
 
 
 def write_stage(
@@ -57,6 +83,7 @@ def write_stage(
     progress: Progress | None = None,
     *,
     also: Sequence[Representation] = (),
+    clip_frames: int | None = None,
 ) -> Path:
     """Write a recording as a stage.
 
@@ -67,6 +94,8 @@ def write_stage(
             ``points`` (a point instancer a link); the one that the stage shows.
         progress: Called with (done, total) as the work goes on.
         also: Further representations to choose from in the variant set.
+        clip_frames: Frames in each value clip, in a folder beside the stage (see `echelon.export.stage.clips`); 0 for
+            everything in one file, None for what `suggested_clip_frames` says.
 
     Returns:
         The path.
@@ -79,9 +108,15 @@ def write_stage(
     for name in (representation, *also):
         if name not in wanted:
             raise InputError(f"representation {name!r} is not one of {', '.join(get_args(Representation))}")
-    motions = [motion for motion in read_motion(recording) if motion.agent_count]
+    check_clips_folder(target)
+    if clip_frames is None:
+        clip_frames = suggested_clip_frames(recording)
+    if clip_frames < 0:
+        raise InputError(f"clip_frames = {clip_frames}: must be 0 or the number of frames in a value clip")
+    clips = stretches(recording.frame_count, clip_frames) if clip_frames else ()
+    motions = _motions(recording, slice(0, 1) if clips else slice(None), clip_by_clip=bool(clips))
     steps = sum(len(m.body.links) if name == "points" else m.agent_count for m in motions for name in wanted)
-    advance = _counter(progress, steps + 2)
+    advance = _counter(progress, steps * (len(clips) + 1) + 2)
 
     layer = Sdf.Layer.CreateAnonymous(".usda")
     paths = _define_static(recording, layer, motions, wanted)
@@ -89,19 +124,64 @@ def write_stage(
         scene.author_actors(layer, paths, recording)
         crowd = layer.GetPrimAtPath(paths.crowd)
         for name in wanted:
-            variant = _variant(crowd, name)
-            for motion in motions:
-                if name == "rig":
-                    author_rigs(variant, paths.assets, motion, advance)
-                elif name == "skel":
-                    author_skels(variant, paths.assets, motion, advance)
-                else:
-                    author_points(variant, paths.assets, motion, recording.frame_rate, advance)
+            _author_crowd(_variant(crowd, name), paths.assets, motions, name, recording, advance)
         crowd.variantSelections[VARIANT_SET] = representation
     advance()
+    if clips:
+        stage = Usd.Stage.Open(layer)
+        author_clip_set(stage.GetPrimAtPath(paths.crowd), target, clips)
+        _write_clips(recording, target, clips, wanted, advance)
     save_layer(layer, target)
+    if not clips:
+        remove_clips(target)
     advance()
     return target
+
+
+def _write_clips(
+    recording: Recording, target: Path, clips: Sequence[Stretch], wanted: Sequence[str], advance: Callable[[], None]
+) -> None:
+    manifest = Sdf.Layer.CreateAnonymous(".usda")
+    with replacing_clips(target) as folder:
+        for clip in clips:
+            layer = Sdf.Layer.CreateAnonymous(SUFFIX)
+            crowd = Sdf.CreatePrimInLayer(layer, CROWD)
+            before, after = min(clip.first, 1), min(recording.frame_count - 1 - clip.last, 1)
+            motions = [
+                replace(motion, timing=Timing(clip.first, in_clip=True), beside=(before, after))
+                for motion in _motions(recording, slice(clip.first - before, clip.last + after + 1), clip_by_clip=True)
+            ]
+            with Sdf.ChangeBlock():
+                for name in wanted:
+                    _author_crowd(crowd, CROWD, motions, name, recording, advance)
+            add_to_manifest(manifest, layer)
+            save_layer(layer, folder / clip.file_name)
+        save_layer(manifest, folder / MANIFEST)
+
+
+def _motions(recording: Recording, frames: slice, *, clip_by_clip: bool) -> list[CastMotion]:
+    motions = read_motion(recording, frames)
+    return [replace(motion, clip_by_clip=clip_by_clip) for motion in motions if motion.agent_count]
+
+
+def _author_crowd(
+    crowd: Sdf.PrimSpec,
+    assets: Sdf.Path,
+    motions: Sequence[CastMotion],
+    name: str,
+    recording: Recording,
+    advance: Callable[[], None],
+) -> None:
+    """Author one representation of all casts beneath a prim."""
+    for motion in motions:
+        if name == "rig":
+            author_rigs(crowd, assets, shown(motion), advance)
+        elif name == "skel":
+            author_skels(crowd, assets, shown(motion), advance)
+        else:
+            agents = slice(int(motion.ids[0]), int(motion.ids[-1]) + 1)
+            origin = points_origin(np.asarray(recording.link_poses[0, agents, 0, :3], dtype=np.float64))
+            author_points(crowd, assets, motion, origin, recording.frame_rate, advance)
 
 
 def _define_static(
@@ -111,7 +191,8 @@ def _define_static(
     stage, paths = scene.begin_stage(recording, layer)
     painted = scene.define_material(stage, paths.looks.AppendChild("painted"), roughness=0.45)
     earthy = scene.define_material(stage, paths.looks.AppendChild("earthy"), roughness=0.95)
-    scene.define_world(stage, paths, recording.world, painted, earthy)
+    road = road_scene(recording.world) if is_road(recording.world) else None
+    scene.define_world(stage, paths, recording.world, road, painted, earthy)
     scene.define_actors(stage, paths, recording, painted)
     scene.define_group(stage, paths.crowd, painted)
     scene.define_phase_names(stage, paths, recording)
@@ -124,13 +205,22 @@ def _define_static(
         if "skel" in wanted:
             define_skel(stage, paths.assets, motion.name, motion.body)
     if motions:
-        herd = np.concatenate([motion.positions[:, :, 0] for motion in motions], axis=1)
-        others = np.asarray(recording.actor_poses[:], dtype=np.float64)[..., :3].reshape(len(herd), -1, 3)
-        move = framed(herd, others, recording.frame_rate)
-        scene.define_camera(stage, paths, move)
+        moves = _camera_moves(recording, road)
+        scene.define_cameras(stage, paths, moves)
         with Sdf.ChangeBlock():
-            scene.author_camera(layer, paths, move)
+            scene.author_cameras(layer, paths, moves)
     return paths
+
+
+def _camera_moves(recording: Recording, road: RoadScene | None) -> dict[str, CameraMove]:
+    """Cameras by name."""
+    places = np.asarray(recording.link_poses[:, :, 0, :3], dtype=np.float64)
+    if road is None:
+        others = np.asarray(recording.actor_poses[:], dtype=np.float64)[..., :3].reshape(len(places), -1, 3)
+        return {"main": framed(places, others, recording.frame_rate)}
+    blocked = np.concatenate([np.empty((0, 2)), *[placed.positions[:, :2] for placed in road.placed]])
+    aspect = APERTURE[0] / APERTURE[1]
+    return {name: looking(camera_way(name, places, recording.frame_rate, aspect, blocked)) for name in ROAD_CAMERAS}
 
 
 def _variant(crowd: Sdf.PrimSpec, name: str) -> Sdf.PrimSpec:

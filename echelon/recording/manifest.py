@@ -27,7 +27,7 @@ from echelon.warp_kernels.model import Model
 FORMAT = "echelon recording"
 VERSION = 1
 PHASE_NAMES = ("flight", "loading", "compression", "thrust", "unloading", "fallen")
-EVENT_NAMES = ("touchdown", "liftoff", "fall", "collision", "gate", "nonfinite")
+EVENT_NAMES = ("touchdown", "liftoff", "fall", "collision", "gate", "nonfinite", "off_road", "struck", "finish")
 
 
 class RecordingFailed(RuntimeError):

@@ -113,9 +113,9 @@ class PelotonSettings:
     braking: Annotated[float, Within("m/s^2", at_least=0.1, at_most=5)] = 0.8
     eagerness: Annotated[float, Within("m/s", at_least=0.2, at_most=20)] = 1.0
     slowest: Annotated[float, Within("m/s", at_least=0, at_most=5)] = 2.0
-    edge_margin: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.6
+    edge_margin: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.9
     side_clearance: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.4
-    gap: Annotated[float, Within("m", at_least=0.1, at_most=50)] = 0.8
+    gap: Annotated[float, Within("m", at_least=0.1, at_most=50)] = 0.9
     headway: Annotated[float, Within("s", at_least=0, at_most=5)] = 0.05
     sideways_speed: Annotated[float, Within("m/s", above=0, at_most=5)] = 0.6
     start_distance: Annotated[float, Within("m", at_least=-1e4, at_most=1e6)] = 0.0

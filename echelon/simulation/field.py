@@ -90,7 +90,7 @@ class Field:
     def finished(self) -> bool:
         return self.scenario.until == "penned" and self.penned
 
-    def summary(self, last_frame: int) -> dict[str, Any]:
+    def summary(self, last_frame: int, means: Mapping[str, np.ndarray]) -> dict[str, Any]:
         inside, frames_in = self._referee().tolist()[:2]
         penned = self.penned
         return {

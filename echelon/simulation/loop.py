@@ -26,6 +26,7 @@ from echelon.agents.characters import character_named
 from echelon.recording import EVENT_DTYPE, EVENT_NAMES, Cast, Recording, RecordingWriter
 from echelon.scenario import Scenario
 from echelon.simulation.field import Field
+from echelon.simulation.road import Road
 from echelon.simulation.scene import Scene, SceneFrames
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.frame import ChunkArrays, Engine
@@ -46,6 +47,8 @@ class Simulation:
         scene: Where, and what they want.
         engine: Everybody's bodies.
         frame: Frames done; frame 0, the start, counts as one once it has been observed.
+        counts: How often each kind of event has happened, in chunks that are done.
+        measure_sums: Of each measure over the frames of these chunks, shape [agents, measures].
     """
 
     def __init__(
@@ -68,7 +71,7 @@ class Simulation:
         crowd, settings = scenario.crowd, scenario.engine
         self.scenario = scenario
         self.character = character_named(crowd.character)
-        self.scene: Scene = Field(scenario, device)
+        self.scene: Scene = Road(scenario, device, world) if scenario.on_road else Field(scenario, device)
         self.engine = Engine(
             self.character,
             crowd.count,
@@ -84,6 +87,7 @@ class Simulation:
         self._populate()
         self.frame = 0
         self.counts = dict.fromkeys(EVENT_NAMES, 0)
+        self.measure_sums = np.zeros((crowd.count, len(self.measure_names)))
 
     @property
     def measure_names(self) -> tuple[str, ...]:
@@ -105,7 +109,8 @@ class Simulation:
         """Everything that the next frame depends on, by name; copies."""
         engine = {f"engine.{name}": array for name, array in self.engine.full_state().items()}
         scene = {f"scene.{name}": array for name, array in self.scene.state().items()}
-        return engine | scene | {"counts": np.array(list(self.counts.values()), dtype=np.int64)}
+        counts = np.array(list(self.counts.values()), dtype=np.int64)
+        return engine | scene | {"counts": counts, "measure_sums": self.measure_sums.copy()}
 
     def load_state(self, state: Mapping[str, np.ndarray], frame: int) -> None:
         """Go on from what `state` gave when ``frame`` was the next."""
@@ -117,6 +122,7 @@ class Simulation:
         self.engine.load_full_state(parts["engine"])
         self.scene.load_state(parts["scene"])
         self.counts = dict(zip(self.counts, map(int, state["counts"]), strict=True))
+        self.measure_sums = np.array(state["measure_sums"])
         self.frame = frame
         self.scene.begin()
 
@@ -165,7 +171,7 @@ class Simulation:
             "falls": self.counts["fall"],
             "collisions": self.counts["collision"],
             "nonfinite": self.counts["nonfinite"],
-            **self.scene.summary(last),
+            **self.scene.summary(last, dict(zip(self.measure_names, self.measure_sums.T / self.frame, strict=True))),
             "state_hash": self.state_hash(),
         }
 
@@ -272,7 +278,9 @@ def _run(simulation: Simulation, writer: RecordingWriter, progress: Progress | N
         events = _events(chunk, seen, engine.character, first, count, frozen)
         for kind, found in enumerate(np.bincount(events["kind"], minlength=len(EVENT_NAMES))):
             simulation.counts[EVENT_NAMES[kind]] += int(found)
-        writer.append(_frames(chunk, seen, count, engine.character), state, events)
+        frames = _frames(chunk, seen, count, engine.character)
+        simulation.measure_sums += frames["measures"].sum(axis=0, dtype=np.float64)
+        writer.append(frames, state, events)
         turn = 1 - turn
     writer.finish(simulation.summary())
 

@@ -83,8 +83,13 @@ class Scene(Protocol):
         """Whether what the scenario runs until has come about."""
         ...
 
-    def summary(self, last_frame: int) -> dict[str, Any]:
-        """What the run came to, as far as the scene knows."""
+    def summary(self, last_frame: int, means: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        """What the run came to, as far as the scene knows.
+
+        Args:
+            last_frame: Number of the last frame.
+            means: Of each measure over the run, by name, shape [agents].
+        """
         ...
 
     def state(self) -> dict[str, np.ndarray]:

@@ -12,13 +12,9 @@ from typing import Any
 import warp as wp
 
 from echelon.scenario import WorldSettings
-from echelon.terrain.walls import WallGrid, nearest_wall_within, wall_grid
+from echelon.terrain.walls import SURFACE_WALL, WallGrid, wall_grid, wall_plane
 
 wp.set_module_options({"enable_backward": False})
-
-SURFACE_GROUND = wp.constant(0)
-SURFACE_WALL = wp.constant(1)
-NOWHERE = wp.constant(wp.float64(-1.0e6))  # [m], offset of a plane that nothing reaches
 
 WALL_REACH = 2.0
 """Walls nearer than this to a body are found [m]; more than its radius and what it travels in a frame."""
@@ -28,15 +24,7 @@ WALL_REACH = 2.0
 def look_up_flat(surface: int, point: wp.vec3d, walls: WallGrid) -> wp.vec4d:
     """The local plane (n_x, n_y, n_z, d) of n . x = d, in the world, that a site of this surface at `point` meets."""
     if surface == SURFACE_WALL:
-        flat = wp.vec2(wp.float32(point[0]), wp.float32(point[1]))
-        hit = nearest_wall_within(flat, walls)
-        away = flat - wp.vec2(hit[0], hit[1])
-        distance = wp.length(away)
-        # On the wall itself there is no telling which side is the inside: wait for the next look.
-        if hit[3] < 0.0 or distance < 1.0e-4:
-            return wp.vec4d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0), NOWHERE)
-        n_x, n_y = wp.float64(away[0] / distance), wp.float64(away[1] / distance)
-        return wp.vec4d(n_x, n_y, wp.float64(0.0), n_x * wp.float64(hit[0]) + n_y * wp.float64(hit[1]))
+        return wall_plane(point, walls)
     return wp.vec4d(wp.float64(0.0), wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
 
 

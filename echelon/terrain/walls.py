@@ -26,6 +26,8 @@ from echelon.scenario import WorldSettings
 wp.set_module_options({"enable_backward": False})
 
 HALF_CIRCLE_SEGMENTS = 24  # of the infield's fence: chords within 0.06 m of a circle of 28 m radius
+SURFACE_WALL = wp.constant(1)  # of contact sites that meet walls; all others meet the ground
+NOWHERE = wp.constant(wp.float64(-1.0e6))  # [m], offset of a plane that nothing reaches
 NO_WALL = wp.constant(1.0e15)  # [m], the distance to the nearest wall where there is none; its square is a float32
 
 _CELL_LIMIT = 1 << 20  # cells of a wall grid, at most: a large field gets larger cells, not more memory
@@ -174,7 +176,17 @@ class WallGrid:
 
 def wall_grid(world: WorldSettings, reach: float, device: wp.DeviceLike = None) -> WallGrid:
     """The walls of a world, ready to be asked what is within `reach` [m] of a point."""
-    walls = segments(infield_walls(world))
+    return grid_of_walls(segments(infield_walls(world)), reach, device)
+
+
+def grid_of_walls(walls: np.ndarray, reach: float, device: wp.DeviceLike = None) -> WallGrid:
+    """Walls, ready to be asked what is within `reach` [m] of a point.
+
+    Args:
+        walls: Rows (x0, y0, x1, y1) [m], float32, shape [walls, 4].
+        reach: How far from a point walls are found [m].
+        device: Where they are asked for.
+    """
     low, high = np.zeros(2), np.zeros(2)
     if len(walls):
         ends = walls.reshape(-1, 2)
@@ -246,3 +258,17 @@ def nearest_wall_within(point: wp.vec2, grid: WallGrid) -> wp.vec4:
             best = float(index)
             best_point = candidate
     return wp.vec4(best_point[0], best_point[1], wp.sqrt(best_sq), best)
+
+
+@wp.func
+def wall_plane(point: wp.vec3d, grid: WallGrid) -> wp.vec4d:
+    """The upright plane (n_x, n_y, 0, d) of n . x = d, in the world, of the nearest wall, towards the point's side."""
+    flat = wp.vec2(wp.float32(point[0]), wp.float32(point[1]))
+    hit = nearest_wall_within(flat, grid)
+    away = flat - wp.vec2(hit[0], hit[1])
+    distance = wp.length(away)
+    # On the wall itself there is no telling which side is the inside: wait for the next look.
+    if hit[3] < 0.0 or distance < 1.0e-4:
+        return wp.vec4d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0), NOWHERE)
+    n_x, n_y = wp.float64(away[0] / distance), wp.float64(away[1] / distance)
+    return wp.vec4d(n_x, n_y, wp.float64(0.0), n_x * wp.float64(hit[0]) + n_y * wp.float64(hit[1]))

@@ -44,7 +44,7 @@ from echelon.errors import InputError
 Vec3 = tuple[float, float, float]
 Matrix3 = tuple[Vec3, Vec3, Vec3]
 JointKind = Literal["free", "ball", "pin", "universal", "gimbal", "slider"]
-VisualShape = Literal["ellipsoid", "capsule", "cylinder", "box"]
+VisualShape = Literal["ellipsoid", "capsule", "cylinder", "box", "torus"]
 Surface = Literal["ground", "wall"]
 Integration = Literal["implicit", "explicit"]
 Use = Literal["usual", "rare"]
@@ -102,9 +102,10 @@ class Visual:
     """A shape drawn on a link; it has no part in the dynamics.
 
     Attributes:
-        shape: ellipsoid, capsule, cylinder or box.
+        shape: ellipsoid, capsule, cylinder, box or torus.
         size: Semi-axes of an ellipsoid or box; (radius, half length along z, unused) of a capsule or
-            cylinder, whose half length leaves out a capsule's caps [m].
+            cylinder, whose half length leaves out a capsule's caps; (radius of the ring about z, radius of its
+            round section, unused) of a torus [m].
         position: Centre in the link's frame [m].
         orientation: Quaternion (x, y, z, w) from the shape's axes to the link's.
         color: Linear RGB from 0 to 1, or None for the colour of the individual.

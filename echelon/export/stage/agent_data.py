@@ -23,13 +23,27 @@ def author_agent_data(prim: Sdf.PrimSpec, motion: CastMotion, agent: int) -> Non
         agent: Its index in the cast.
     """
     names = Sdf.ValueTypeNames
-    color = Vt.Vec3fArray([Gf.Vec3f(*motion.colors[agent].tolist())])
-    author_constant(prim, "primvars:displayColor", names.Color3fArray, color, interpolation="constant")
-    author_constant(prim, "primvars:agentId", names.Int, int(motion.ids[agent]), interpolation="constant")
+    if not motion.timing.in_clip:
+        _author_identity(prim, motion, agent)
     velocity = motion.velocities[:, agent]
     frames = bends(velocity)
     values = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(velocity[frames]))
-    author(prim, "primvars:velocity", names.Vector3f, values, frames, interpolation="constant")
+    author(prim, "primvars:velocity", names.Vector3f, values, frames, interpolation="constant", timing=motion.timing)
     for name, column in (("primvars:phase", motion.phases), ("primvars:fallen", motion.fallen)):
         frames = changes(column[:, agent])
-        author(prim, name, names.Int, column[frames, agent].tolist(), frames, interpolation="constant")
+        author(
+            prim,
+            name,
+            names.Int,
+            column[frames, agent].tolist(),
+            frames,
+            interpolation="constant",
+            timing=motion.timing,
+        )
+
+
+def _author_identity(prim: Sdf.PrimSpec, motion: CastMotion, agent: int) -> None:
+    names = Sdf.ValueTypeNames
+    color = Vt.Vec3fArray([Gf.Vec3f(*motion.colors[agent].tolist())])
+    author_constant(prim, "primvars:displayColor", names.Color3fArray, color, interpolation="constant")
+    author_constant(prim, "primvars:agentId", names.Int, int(motion.ids[agent]), interpolation="constant")

@@ -1,4 +1,4 @@
-"""A camera that frames the action: it keeps its direction, and moves so that the herd just fits.
+"""Cameras of a stage. The one in a field keeps its direction and moves so that the herd just fits.
 
 With the direction fixed, a point is inside the picture when it is on the inner side of four planes through the camera.
 In the camera's axes (a to the right, b up, c forward) and with k the tangent of half the field of view, the left and
@@ -16,6 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+from echelon.export.road_cameras import CameraWay
+from echelon.export.stage.motion import continuous
 
 PITCH = np.radians(20.0)  # downwards
 FOCAL_LENGTH = 0.035  # [m]
@@ -28,17 +32,32 @@ SMOOTHING_SECONDS = 1.5  # to either side
 
 @dataclass(frozen=True)
 class CameraMove:
-    """Where a camera of fixed direction is.
+    """Where a camera is, which way it looks, and how far it sees.
 
     Attributes:
-        axes: Rows are the camera's right, up and backward axes in the world, shape [3, 3].
-        positions: [m], float64, shape [frames, 3].
-        focus_distances: To the middle of the action [m], shape [frames].
+        positions: [m], float64,                                                            shape [frames, 3]
+        orientations: Quaternions (x, y, z, w) from the camera's axes (x right, y up, looking along -z) to the
+            world's; a single one where it does not turn,                                   shape [frames or 1, 4]
+        focal_lengths: [m]; a single one where it does not change,                          shape [frames or 1]
+        focus_distances: To the middle of the action [m],                                   shape [frames]
     """
 
-    axes: np.ndarray
     positions: np.ndarray
+    orientations: np.ndarray
+    focal_lengths: np.ndarray
     focus_distances: np.ndarray
+
+
+def looking(way: CameraWay) -> CameraMove:
+    """The move of a camera beside or above a road."""
+    back = way.eyes - way.targets
+    distance = np.linalg.norm(back, axis=1, keepdims=True)
+    back = back / distance
+    right = np.stack([-back[:, 1], back[:, 0], np.zeros(len(back))], axis=1)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    axes = np.stack([right, np.cross(back, right), back], axis=2)
+    lengths = 0.5 * APERTURE[1] / np.tan(0.5 * way.fields)
+    return CameraMove(way.eyes, continuous(Rotation.from_matrix(axes).as_quat()), lengths, distance[:, 0])
 
 
 def framed(herd: np.ndarray, others: np.ndarray, frame_rate: int) -> CameraMove:
@@ -66,7 +85,8 @@ def framed(herd: np.ndarray, others: np.ndarray, frame_rate: int) -> CameraMove:
         camera[:, axis] = 0.5 * (second - first)
         camera[:, 2] = np.minimum(camera[:, 2], (first + second) / (2.0 * slope))
     positions = camera[:, :1] * axes[0] + camera[:, 1:2] * axes[1] - camera[:, 2:] * axes[2]
-    return CameraMove(axes, positions, (middle[:, 0] @ -axes[2]) - camera[:, 2])
+    orientation = Rotation.from_matrix(axes.T).as_quat()[None]
+    return CameraMove(positions, orientation, np.array([FOCAL_LENGTH]), (middle[:, 0] @ -axes[2]) - camera[:, 2])
 
 
 def _axes(herd: np.ndarray) -> np.ndarray:

@@ -9,18 +9,20 @@ a quaternion never changes its sign: tools that interpolate the four numbers one
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pxr import Tf
 
 from echelon.errors import InputError
+from echelon.export.stage.time_samples import WHOLE, Timing
 from echelon.recording import Cast, Recording
 from echelon.warp_kernels.model import Model
 
 # A recording keeps float32 poses near a floating origin, good to some 1e-7 m and rad. A joint that has moved by less
 # than this in a whole run has not moved.
 STILL_TOLERANCE = 1e-5
+FAST_TURN = 1.0  # [rad] in a frame, from which on two frames are not seen as one turn
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,9 @@ class CastMotion:
         velocities: Of the first link's origin [m/s], float32,       [frames, agents, 3]
         phases: Controller phase, index of its name, int32,          [frames, agents]
         fallen: One while fallen, else zero, int32,                  [frames, agents]
+        timing: How frames become time samples.
+        beside: Frames at the beginning and at the end that are there for the sake of rates only.
+        clip_by_clip: These are not all frames of the run, and others are written elsewhere in the same stage.
     """
 
     name: str
@@ -48,6 +53,9 @@ class CastMotion:
     velocities: np.ndarray
     phases: np.ndarray
     fallen: np.ndarray
+    timing: Timing = WHOLE
+    beside: tuple[int, int] = (0, 0)
+    clip_by_clip: bool = False
 
     @property
     def frame_count(self) -> int:
@@ -62,6 +70,25 @@ class CastMotion:
         """A prim name for each agent: the cast's and the agent's index in the recording, so that they sort."""
         width = max(3, len(str(int(self.ids[-1])))) if len(self.ids) else 3
         return tuple(f"{self.name}_{index:0{width}d}" for index in self.ids.tolist())
+
+
+def shown(motion: CastMotion) -> CastMotion:
+    """The motion without the frames that are there for the sake of rates only."""
+    kept = shown_frames(motion)
+    return replace(
+        motion,
+        beside=(0, 0),
+        **{name: getattr(motion, name)[kept] for name in _FRAME_ARRAYS},
+    )
+
+
+def shown_frames(motion: CastMotion) -> slice:
+    """Which of a motion's frames are not there for the sake of rates only."""
+    before, after = motion.beside
+    return slice(before, motion.frame_count - after)
+
+
+_FRAME_ARRAYS = ("positions", "orientations", "velocities", "phases", "fallen")
 
 
 def read_motion(recording: Recording, frames: slice = slice(None)) -> tuple[CastMotion, ...]:
@@ -110,6 +137,13 @@ def angular_velocities(orientations: np.ndarray, frame_rate: int) -> np.ndarray:
     before = np.maximum(np.arange(frames) - 1, 0)
     after = np.minimum(np.arange(frames) + 1, frames - 1)
     turn = rotation_vectors(product(orientations[after], conjugate(orientations[before])))
+    # A wheel may turn by more than half a turn in two frames, which would look like turning back.
+    step = rotation_vectors(product(orientations[1:], conjugate(orientations[:-1])))
+    fast = np.linalg.norm(step, axis=-1, keepdims=True) > FAST_TURN
+    if fast.any():
+        backward = np.concatenate([np.zeros_like(turn[:1]), step])
+        forward = np.concatenate([step, np.zeros_like(turn[:1])])
+        turn = np.where(fast[before.clip(max=frames - 2)] | fast[after - 1], backward + forward, turn)
     span = np.maximum(after - before, 1) / frame_rate
     return turn / span.reshape(-1, *([1] * (turn.ndim - 1)))
 

@@ -14,12 +14,17 @@ import numpy as np
 from pxr import Gf, Sdf, Vt
 
 from echelon.export.stage.characters import link_names, link_radius, links_path
-from echelon.export.stage.motion import CastMotion, angular_velocities, rates
-from echelon.export.stage.time_samples import author, author_constant, author_op_order, bends, changes
+from echelon.export.stage.motion import CastMotion, angular_velocities, rates, shown_frames
+from echelon.export.stage.time_samples import author, author_constant, author_op_order, bends, changes, define
 
 
 def author_points(
-    crowd: Sdf.PrimSpec, assets: Sdf.Path, motion: CastMotion, frame_rate: int, advance: Callable[[], None]
+    crowd: Sdf.PrimSpec,
+    assets: Sdf.Path,
+    motion: CastMotion,
+    origin: np.ndarray,
+    frame_rate: int,
+    advance: Callable[[], None],
 ) -> None:
     """Author a point instancer for every link of a cast.
 
@@ -27,20 +32,33 @@ def author_points(
         crowd: The crowd, or its variant, that gets the instancers as children.
         assets: Where the character assets are.
         motion: How the agents moved.
+        origin: See `points_origin`.
         frame_rate: Frames a second.
         advance: Called after each link.
     """
-    # Positions are single precision: they count from the middle of where the cast started.
-    origin = np.round(motion.positions[0, :, 0].mean(axis=0))
     for index, name in enumerate(link_names(motion.body)):
-        prim = Sdf.PrimSpec(crowd, f"{motion.name}_{name}", Sdf.SpecifierDef, "PointInstancer")
-        prim.kind = "component"
-        _author_prototype(prim, name, links_path(assets, motion.name).AppendChild(name))
-        author_constant(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*origin.tolist()))
-        author_op_order(prim, ["xformOp:translate"])
+        prim = define(crowd, f"{motion.name}_{name}", "PointInstancer", motion.timing)
+        if not motion.timing.in_clip:
+            prim.kind = "component"
+            _author_prototype(prim, name, links_path(assets, motion.name).AppendChild(name))
+            author_constant(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, Gf.Vec3d(*origin.tolist()))
+            author_op_order(prim, ["xformOp:translate"])
+            ids = Vt.Int64Array.FromNumpy(motion.ids.astype(np.int64))
+            author_constant(prim, "ids", Sdf.ValueTypeNames.Int64Array, ids)
+            indices = Vt.IntArray(motion.agent_count, 0)
+            author_constant(prim, "protoIndices", Sdf.ValueTypeNames.IntArray, indices)
+            _author_colors(prim, motion.colors)
         _author_instances(prim, motion, index, origin, frame_rate)
-        _author_colors(prim, motion.colors)
         advance()
+
+
+def points_origin(positions: np.ndarray) -> np.ndarray:
+    """What the positions of a cast's instances count from [m], as they are single precision: whence the cast came.
+
+    Args:
+        positions: Of its root links at the first frame [m], shape [agents, 3].
+    """
+    return np.round(positions.mean(axis=0))
 
 
 def _author_prototype(prim: Sdf.PrimSpec, name: str, asset: Sdf.Path) -> None:
@@ -59,8 +77,6 @@ def _author_instances(prim: Sdf.PrimSpec, motion: CastMotion, index: int, origin
     orientations = motion.orientations[:, :, index]
     velocities = motion.velocities if index == 0 else rates(world, frame_rate)
     spins = np.degrees(angular_velocities(orientations, frame_rate))
-    author_constant(prim, "ids", names.Int64Array, Vt.Int64Array.FromNumpy(motion.ids.astype(np.int64)))
-    author_constant(prim, "protoIndices", names.IntArray, Vt.IntArray(motion.agent_count, 0))
     reach = np.float32(link_radius(motion.body, index))
     arrays = {
         "positions": (names.Point3fArray, Vt.Vec3fArray, positions),
@@ -74,14 +90,16 @@ def _author_instances(prim: Sdf.PrimSpec, motion: CastMotion, index: int, origin
             np.stack([positions.min(axis=1) - reach, positions.max(axis=1) + reach], axis=1),
         ),
     }
+    kept, timing = shown_frames(motion), motion.timing
     # All are sampled at the same frames: velocities that are not sampled where positions are would be ignored.
-    frames = bends(np.concatenate([values.reshape(motion.frame_count, -1) for _, _, values in arrays.values()], axis=1))
+    rows = [values[kept].reshape(kept.stop - kept.start, -1) for _, _, values in arrays.values()]
+    frames = bends(np.concatenate(rows, axis=1))
     for name, (type_name, array, values) in arrays.items():
-        author(prim, name, type_name, map(array.FromNumpy, values[frames]), frames)
-    for name, column in (("primvars:phase", motion.phases), ("primvars:fallen", motion.fallen)):
+        author(prim, name, type_name, map(array.FromNumpy, values[kept][frames]), frames, timing=timing)
+    for name, column in (("primvars:phase", motion.phases[kept]), ("primvars:fallen", motion.fallen[kept])):
         frames = changes(column)
         values = map(Vt.IntArray.FromNumpy, column[frames])
-        author(prim, name, names.IntArray, values, frames, interpolation="varying")
+        author(prim, name, names.IntArray, values, frames, interpolation="varying", timing=timing)
 
 
 def _author_colors(prim: Sdf.PrimSpec, colors: np.ndarray) -> None:

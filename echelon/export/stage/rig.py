@@ -11,13 +11,14 @@ from pxr import Sdf
 from echelon.export.stage.agent_data import author_agent_data
 from echelon.export.stage.characters import link_paths, rig_path
 from echelon.export.stage.motion import CastMotion, local_transforms
-from echelon.export.stage.time_samples import author_orientations, author_translations, bends
+from echelon.export.stage.time_samples import author_orientations, author_translations, bends, define
 
 
 def author_rigs(crowd: Sdf.PrimSpec, assets: Sdf.Path, motion: CastMotion, advance: Callable[[], None]) -> None:
     """Author an animated rig for every agent of a cast.
 
-    A transform that never leaves its place in the reference pose is left to the character asset.
+    A transform that never leaves its place in the reference pose is left to the character asset. Where the run is
+    written clip by clip, what the next one holds is not known: there the joints alone decide.
 
     Args:
         crowd: The crowd, or its variant, that gets the agents as children.
@@ -29,9 +30,10 @@ def author_rigs(crowd: Sdf.PrimSpec, assets: Sdf.Path, motion: CastMotion, advan
     paths = link_paths(motion.body)
     asset = Sdf.Reference("", rig_path(assets, motion.name))
     for agent, name in enumerate(motion.agent_names):
-        prim = Sdf.PrimSpec(crowd, name, Sdf.SpecifierDef, "Xform")
-        prim.kind = "component"
-        prim.referenceList.Prepend(asset)
+        prim = define(crowd, name, "Xform", motion.timing)
+        if not motion.timing.in_clip:
+            prim.kind = "component"
+            prim.referenceList.Prepend(asset)
         author_agent_data(prim, motion, agent)
         specs: list[Sdf.PrimSpec] = []
         for index, path in enumerate(paths):
@@ -39,8 +41,13 @@ def author_rigs(crowd: Sdf.PrimSpec, assets: Sdf.Path, motion: CastMotion, advan
             spec = Sdf.PrimSpec(specs[parent] if parent >= 0 else prim, path.rpartition("/")[2], Sdf.SpecifierOver)
             specs.append(spec)
             place, turn = translations[:, agent, index], rotations[:, agent, index]
-            if len(bends(place)) > 1 or tuple(place[0]) != motion.body.links[index].joint.position:
-                author_translations(spec, place)
-            if len(bends(turn)) > 1 or tuple(turn[0]) != (0.0, 0.0, 0.0, 1.0):
-                author_orientations(spec, turn)
+            joint = motion.body.links[index].joint
+            slides, turns = joint.kind in ("free", "slider"), joint.kind != "slider"
+            if not motion.clip_by_clip:
+                slides = len(bends(place)) > 1 or tuple(place[0]) != joint.position
+                turns = len(bends(turn)) > 1 or tuple(turn[0]) != (0.0, 0.0, 0.0, 1.0)
+            if slides:
+                author_translations(spec, place, motion.timing)
+            if turns:
+                author_orientations(spec, turn, motion.timing)
         advance()

@@ -1,10 +1,11 @@
-"""All of a stage but the crowd: its metadata, materials, the ground and its fences, the collie, lights and a camera."""
+"""All of a stage but the crowd: its metadata, materials, the ground and its fences, actors, lights and cameras."""
 
 # pyright: reportAttributeAccessIssue=false
 # USD's modules are compiled and come without stubs.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
@@ -12,11 +13,14 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 
-from echelon.export.shapes import bicycle_visuals, fence_mesh, ground_mesh, rectangle_mesh
-from echelon.export.stage.camera import APERTURE, FOCAL_LENGTH, CameraMove
+from echelon.export.actor_looks import actor_visuals
+from echelon.export.road_scene import RoadScene
+from echelon.export.shapes import fence_mesh, ground_mesh, rectangle_mesh
+from echelon.export.stage.camera import APERTURE, CameraMove
 from echelon.export.stage.meshes import define_mesh, mesh_names, surfaces_by_color, welded
 from echelon.export.stage.motion import continuous, prim_name, prim_names
-from echelon.export.stage.time_samples import author_op_order, author_orientations, author_translations
+from echelon.export.stage.road import define_road
+from echelon.export.stage.time_samples import author, author_op_order, author_orientations, author_translations, bends
 from echelon.recording import Recording
 from echelon.warp_kernels.model import Vec3
 
@@ -125,10 +129,18 @@ def define_material(stage: Usd.Stage, path: Sdf.Path, roughness: float) -> UsdSh
 
 # ---- what stands still -------------------------------------------------------------------------------------------
 def define_world(
-    stage: Usd.Stage, paths: StagePaths, world: dict[str, Any], painted: UsdShade.Material, earthy: UsdShade.Material
+    stage: Usd.Stage,
+    paths: StagePaths,
+    world: dict[str, Any],
+    road: RoadScene | None,
+    painted: UsdShade.Material,
+    earthy: UsdShade.Material,
 ) -> None:
-    """Define the ground, what lies around it, and every fence."""
+    """Define the ground, what lies around it, every fence; or the road and what stands beside it."""
     define_group(stage, paths.world)
+    if road is not None:
+        define_road(stage, paths.world, paths.assets, road, painted, earthy)
+        return
     ground = _define_component(stage, paths.world.AppendChild("Ground"), earthy)
     turf = ground_mesh(world["ground"])
     define_mesh(stage, str(ground.GetPath().AppendChild("turf")), welded([turf]), TURF)
@@ -164,10 +176,10 @@ def define_lights(stage: Usd.Stage, paths: StagePaths) -> None:
 def define_actors(stage: Usd.Stage, paths: StagePaths, recording: Recording, painted: UsdShade.Material) -> None:
     """Define the actors, such as the collie on its bicycle; `author_actors` moves them."""
     define_group(stage, paths.actors, painted)
-    for name in actor_names(recording):
+    for name, entry in zip(actor_names(recording), recording.actors, strict=True):
         actor = _define_component(stage, paths.actors.AppendChild(name))
         geometry = UsdGeom.Scope.Define(stage, actor.GetPath().AppendChild("geometry"))
-        groups = surfaces_by_color(bicycle_visuals())
+        groups = surfaces_by_color(actor_visuals(entry))
         for mesh_name, (color, meshes) in zip(mesh_names(list(groups)), groups.items(), strict=True):
             define_mesh(stage, str(geometry.GetPath().AppendChild(mesh_name)), welded(meshes), color)
 
@@ -187,28 +199,27 @@ def actor_names(recording: Recording) -> tuple[str, ...]:
     return prim_names([actor.name for actor in recording.actors])
 
 
-def define_camera(stage: Usd.Stage, paths: StagePaths, move: CameraMove) -> None:
-    """Define the camera; `author_camera` moves it. USD counts focal length and aperture in tenths of a metre here."""
+def define_cameras(stage: Usd.Stage, paths: StagePaths, moves: Mapping[str, CameraMove]) -> None:
+    """Define cameras by name, which `author_cameras` moves; USD counts their lengths in tenths of a metre here."""
     UsdGeom.Scope.Define(stage, paths.cameras)
-    camera = UsdGeom.Camera.Define(stage, camera_path(paths))
-    camera.CreateFocalLengthAttr(10.0 * FOCAL_LENGTH)
-    camera.CreateHorizontalApertureAttr(10.0 * APERTURE[0])
-    camera.CreateVerticalApertureAttr(10.0 * APERTURE[1])
-    camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 10_000.0))
-    camera.CreateFocusDistanceAttr(float(move.focus_distances[0]))
+    for name, move in moves.items():
+        camera = UsdGeom.Camera.Define(stage, paths.cameras.AppendChild(name))
+        camera.CreateHorizontalApertureAttr(10.0 * APERTURE[0])
+        camera.CreateVerticalApertureAttr(10.0 * APERTURE[1])
+        camera.CreateClippingRangeAttr(Gf.Vec2f(0.1, 10_000.0))
+        camera.CreateFocusDistanceAttr(float(move.focus_distances[0]))
 
 
-def author_camera(layer: Sdf.Layer, paths: StagePaths, move: CameraMove) -> None:
-    """Author the camera's position, frame by frame, and its direction."""
-    prim = layer.GetPrimAtPath(camera_path(paths))
-    rotation = Gf.Matrix3d(*move.axes.reshape(-1).tolist()).ExtractRotation().GetQuat()
-    author_translations(prim, move.positions)
-    author_orientations(prim, np.array([[*rotation.GetImaginary(), rotation.GetReal()]]))
-    author_op_order(prim, ["xformOp:translate", "xformOp:orient"])
-
-
-def camera_path(paths: StagePaths) -> Sdf.Path:
-    return paths.cameras.AppendChild("main")
+def author_cameras(layer: Sdf.Layer, paths: StagePaths, moves: Mapping[str, CameraMove]) -> None:
+    """Author the cameras' positions, directions and focal lengths, frame by frame where they change."""
+    for name, move in moves.items():
+        prim = layer.GetPrimAtPath(paths.cameras.AppendChild(name))
+        author_translations(prim, move.positions)
+        author_orientations(prim, move.orientations)
+        author_op_order(prim, ["xformOp:translate", "xformOp:orient"])
+        lengths = (10.0 * move.focal_lengths).astype(np.float32)
+        frames = bends(lengths)
+        author(prim, "focalLength", Sdf.ValueTypeNames.Float, lengths[frames].tolist(), frames)
 
 
 def define_phase_names(stage: Usd.Stage, paths: StagePaths, recording: Recording) -> None:

@@ -17,7 +17,15 @@ from pxr import Gf, Sdf, Vt
 from echelon.export.stage.agent_data import author_agent_data
 from echelon.export.stage.characters import link_paths, skel_path
 from echelon.export.stage.motion import CastMotion, local_transforms
-from echelon.export.stage.time_samples import author, author_constant, author_op_order, author_translations, bends
+from echelon.export.stage.time_samples import (
+    Timing,
+    author,
+    author_constant,
+    author_op_order,
+    author_translations,
+    bends,
+    define,
+)
 
 ANIMATIONS = "Animations"
 
@@ -36,33 +44,34 @@ def author_skels(crowd: Sdf.PrimSpec, assets: Sdf.Path, motion: CastMotion, adva
     translations[:, :, roots] -= motion.positions[:, :, :1]
     joints = Vt.TokenArray(list(link_paths(motion.body)))
     asset = Sdf.Reference("", skel_path(assets, motion.name))
-    animations = crowd.nameChildren.get(ANIMATIONS) or Sdf.PrimSpec(crowd, ANIMATIONS, Sdf.SpecifierDef, "Scope")
+    animations = crowd.nameChildren.get(ANIMATIONS) or define(crowd, ANIMATIONS, "Scope", motion.timing)
     for agent, name in enumerate(motion.agent_names):
-        animation = Sdf.PrimSpec(animations, name, Sdf.SpecifierDef, "SkelAnimation")
-        _author_animation(animation, joints, translations[:, agent], rotations[:, agent])
-        prim = Sdf.PrimSpec(crowd, name, Sdf.SpecifierDef, "SkelRoot")
-        prim.kind = "component"
-        prim.instanceable = True
-        prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["SkelBindingAPI"]))
-        prim.referenceList.Prepend(asset)
-        source = Sdf.RelationshipSpec(prim, "skel:animationSource", False)
-        source.targetPathList.Prepend(animation.path.StripAllVariantSelections())
+        animation = define(animations, name, "SkelAnimation", motion.timing)
+        prim = define(crowd, name, "SkelRoot", motion.timing)
+        if not motion.timing.in_clip:
+            author_constant(animation, "joints", Sdf.ValueTypeNames.TokenArray, joints, uniform=True)
+            scales = Vt.Vec3hArray(len(joints), Gf.Vec3h(1.0))
+            author_constant(animation, "scales", Sdf.ValueTypeNames.Half3Array, scales)
+            prim.kind = "component"
+            prim.instanceable = True
+            prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["SkelBindingAPI"]))
+            prim.referenceList.Prepend(asset)
+            source = Sdf.RelationshipSpec(prim, "skel:animationSource", False)
+            source.targetPathList.Prepend(animation.path.StripAllVariantSelections())
+            author_op_order(prim, ["xformOp:translate"])
+        _author_animation(animation, translations[:, agent], rotations[:, agent], motion.timing)
         author_agent_data(prim, motion, agent)
-        author_translations(prim, motion.positions[:, agent, 0])
-        author_op_order(prim, ["xformOp:translate"])
+        author_translations(prim, motion.positions[:, agent, 0], motion.timing)
         advance()
 
 
-def _author_animation(
-    prim: Sdf.PrimSpec, joints: Vt.TokenArray, translations: np.ndarray, rotations: np.ndarray
-) -> None:
+def _author_animation(prim: Sdf.PrimSpec, translations: np.ndarray, rotations: np.ndarray, timing: Timing) -> None:
     """Author joint translations [m] [frames, links, 3] and rotations [frames, links, 4]."""
     names = Sdf.ValueTypeNames
-    author_constant(prim, "joints", names.TokenArray, joints, uniform=True)
-    author_constant(prim, "scales", names.Half3Array, Vt.Vec3hArray(len(joints), Gf.Vec3h(1.0)))
     places = translations.astype(np.float32)
     frames = bends(places)
-    author(prim, "translations", names.Float3Array, map(Vt.Vec3fArray.FromNumpy, places[frames]), frames)
+    values = map(Vt.Vec3fArray.FromNumpy, places[frames])
+    author(prim, "translations", names.Float3Array, values, frames, timing=timing)
     turns = rotations.astype(np.float32)
     frames = bends(turns)
-    author(prim, "rotations", names.QuatfArray, map(Vt.QuatfArray.FromNumpy, turns[frames]), frames)
+    author(prim, "rotations", names.QuatfArray, map(Vt.QuatfArray.FromNumpy, turns[frames]), frames, timing=timing)

@@ -10,10 +10,28 @@ that equals its neighbours in time says nothing. Call these inside one `Sdf.Chan
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from pxr import Sdf, Vt
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How rows of values become time samples.
+
+    Attributes:
+        first_frame: Time code of the first row.
+        in_clip: The layer is a value clip: nothing but samples counts there, so there is one at least of every
+            attribute, and no default.
+    """
+
+    first_frame: int = 0
+    in_clip: bool = False
+
+
+WHOLE = Timing()
 
 
 def changes(values: np.ndarray) -> np.ndarray:
@@ -41,6 +59,13 @@ def bends(values: np.ndarray) -> np.ndarray:
     return np.flatnonzero(wanted)
 
 
+def define(parent: Sdf.PrimSpec, name: str, type_name: str, timing: Timing = WHOLE) -> Sdf.PrimSpec:
+    """A new prim; in a clip, which defines nothing, a place for samples only."""
+    if timing.in_clip:
+        return Sdf.PrimSpec(parent, name, Sdf.SpecifierOver)
+    return Sdf.PrimSpec(parent, name, Sdf.SpecifierDef, type_name)
+
+
 def author(
     prim: Sdf.PrimSpec,
     name: str,
@@ -49,6 +74,7 @@ def author(
     frames: np.ndarray,
     *,
     interpolation: str | None = None,
+    timing: Timing = WHOLE,
 ) -> Sdf.AttributeSpec:
     """Author an attribute whose default is the first value, with a time sample a frame if it has more than one.
 
@@ -57,17 +83,19 @@ def author(
         name: Name of the attribute.
         type_name: Its type.
         values: One value for each of ``frames``.
-        frames: Frames, which are time codes.
+        frames: Rows that the values are of, which are time codes but for ``timing``.
         interpolation: Of a primvar, such as ``constant``.
+        timing: How rows become time samples.
     """
     spec = Sdf.AttributeSpec(prim, name, type_name)
     if interpolation is not None:
         spec.SetInfo("interpolation", interpolation)
-    codes = frames.astype(float).tolist()
+    codes = (frames + timing.first_frame).astype(float).tolist()
     source = iter(values)
     first = next(source)
-    spec.default = first
-    if len(codes) > 1:
+    if not timing.in_clip:
+        spec.default = first
+    if len(codes) > 1 or timing.in_clip:
         set_sample, path = prim.layer.SetTimeSample, spec.path
         set_sample(path, codes[0], first)
         for code, value in zip(codes[1:], source, strict=True):
@@ -75,18 +103,19 @@ def author(
     return spec
 
 
-def author_translations(prim: Sdf.PrimSpec, translations: np.ndarray) -> None:
+def author_translations(prim: Sdf.PrimSpec, translations: np.ndarray, timing: Timing = WHOLE) -> None:
     """Author ``xformOp:translate`` from positions [m], shape [frames, 3]."""
     frames = bends(translations)
     values = Vt.Vec3dArray.FromNumpy(np.ascontiguousarray(translations[frames], dtype=np.float64))
-    author(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, values, frames)
+    author(prim, "xformOp:translate", Sdf.ValueTypeNames.Double3, values, frames, timing=timing)
 
 
-def author_orientations(prim: Sdf.PrimSpec, orientations: np.ndarray) -> None:
+def author_orientations(prim: Sdf.PrimSpec, orientations: np.ndarray, timing: Timing = WHOLE) -> None:
     """Author ``xformOp:orient`` from quaternions (x, y, z, w), shape [frames, 4]."""
     single = np.ascontiguousarray(orientations, dtype=np.float32)
     frames = bends(single)
-    author(prim, "xformOp:orient", Sdf.ValueTypeNames.Quatf, Vt.QuatfArray.FromNumpy(single[frames]), frames)
+    values = Vt.QuatfArray.FromNumpy(single[frames])
+    author(prim, "xformOp:orient", Sdf.ValueTypeNames.Quatf, values, frames, timing=timing)
 
 
 def author_op_order(prim: Sdf.PrimSpec, ops: Sequence[str]) -> None:

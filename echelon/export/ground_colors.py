@@ -1,0 +1,70 @@
+"""Colours of ground: tones that differ from place to place, so that one sees how fast it goes by.
+
+They are functions of the place in the world alone, the same in every picture: value noise, a random number at each
+point of a lattice and smooth in between.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+DRY = np.array([0.215, 0.205, 0.075])  # grass where it is dry
+MOWN = 3.0  # [m] of the verge along the road, mown to and fro
+WHEEL_TRACKS = 0.05  # how much darker asphalt is where cars roll
+
+
+def ground_albedo(
+    name: str, base: np.ndarray, places: np.ndarray, uv: np.ndarray | None, spacing: np.ndarray
+) -> np.ndarray:
+    """Linear RGB of ground, shape [n, 3].
+
+    Args:
+        name: Of the part of the ground, see `GroundPart`.
+        base: Its own colour, linear RGB.
+        places: In the world [m], float64, shape [n, 2].
+        uv: How far across, and along [m], see `GroundPart`, shape [n, 2]; None of land.
+        spacing: From point to point of the mesh [m], shape [n]: finer tones are left out.
+    """
+    if name == "land":
+        tone = 0.30 * _shade(places, 2.3, spacing) + 0.24 * _shade(places, 17.0, spacing)
+        dry = np.clip(1.6 * _noise(places, 70.0) - 0.55, 0.0, 0.75)[:, None]
+        return (base + dry * (DRY - base)) * (1.0 + tone[:, None])
+    if name == "verge" and uv is not None:
+        stripe = np.where(np.floor(uv[:, 1] / MOWN) % 2 == 0, 0.09, -0.09) * _fade(spacing, MOWN)
+        tone = 0.30 * _shade(places, 1.1, spacing) + stripe
+        return base * (1.0 + tone[:, None])
+    if name == "paint":
+        return base * (1.0 + 0.10 * _shade(places, 0.6, spacing)[:, None])
+    tone = 0.22 * _shade(places, 0.9, spacing) + 0.20 * _shade(places, 7.0, spacing)
+    if name == "asphalt" and uv is not None:
+        tone += WHEEL_TRACKS * np.cos(8.0 * np.pi * (uv[:, 0] - 0.5))
+    return base * (1.0 + tone[:, None])
+
+
+def _shade(places: np.ndarray, size: float, spacing: np.ndarray) -> np.ndarray:
+    """Noise about zero, -0.5 to 0.5, of patches of a size [m]; none where the mesh is coarser than that."""
+    return (_noise(places, size) - 0.5) * _fade(spacing, size)
+
+
+def _fade(spacing: np.ndarray, size: float) -> np.ndarray:
+    return np.clip(2.0 - spacing / size, 0.0, 1.0)
+
+
+def _noise(places: np.ndarray, size: float) -> np.ndarray:
+    """Value noise, 0 to 1, of patches of a size [m], at places [n, 2]."""
+    scaled = places / size
+    cell = np.floor(scaled).astype(np.int64)
+    part = scaled - cell
+    part = part * part * (3.0 - 2.0 * part)
+    x, y = part.T
+    corners = [_random(cell + step) for step in ((0, 0), (1, 0), (0, 1), (1, 1))]
+    low = corners[0] + x * (corners[1] - corners[0])
+    high = corners[2] + x * (corners[3] - corners[2])
+    return low + y * (high - low)
+
+
+def _random(cell: np.ndarray) -> np.ndarray:
+    """A number from 0 to 1 for each lattice point [n, 2]."""
+    mixed = (cell[:, 0] * 73856093) ^ (cell[:, 1] * 19349663)
+    mixed = ((mixed >> 13) ^ mixed) * 2654435761 % 4294967296
+    return ((mixed >> 7) ^ mixed) % 65536 / 65535.0

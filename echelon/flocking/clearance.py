@@ -1,0 +1,128 @@
+"""Keeping clear of one another: how fast behind the wheel ahead, how near to those beside.
+
+**Behind.** A rider may go as fast as who is ahead in the same line, faster by what the gap has to spare, slower by what
+it lacks. The speed of who is ahead is what it rides or what it is about to ride, whichever is less: who follows slows
+with who leads, not after. Who is ahead in the same line is whoever takes up, or is about to take up, some of the same
+breadth of road and comes before. So two who want the same place do not ride into it together: the one behind yields.
+
+**Beside.** Everyone whose body is beside one's own, or is about to be, bounds the room to move on that side. Where the
+bounds leave nothing, a rider stays in the middle between them.
+"""
+
+# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
+# pyright: reportIndexIssue=false, reportOperatorIssue=false, reportReturnType=false
+# Kernels: Warp compiles and checks them, and its types mean other things to it than to Python.
+
+from __future__ import annotations
+
+import warp as wp
+
+from echelon.flocking.road_obstacles import NO_LIMIT
+from echelon.flocking.road_riders import (
+    RIDING,
+    RidersSeen,
+    RoadRiders,
+    RoadRules,
+    claimed_by,
+    half_width_of,
+    is_before,
+    taken_by,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+FOLLOW_GAIN = wp.constant(0.6)  # [1/s]; speed for each metre that the gap is too short or too long
+SIDE_MARGIN = wp.constant(0.15)  # [m]; nearer than this sideways, who is ahead is in the same line
+ANTICIPATED = wp.constant(1.5)  # [s]; the gap counts as what will be left of it after so long at this speed
+DROP_BACK = wp.constant(2.5)  # [m/s]; never slower than who is ahead by more than this
+YIELD = wp.constant(1.5)  # [m/s]; the same where one only means to move behind another
+BESIDE = wp.constant(0.4)  # [m]; a body so little ahead or behind counts as beside...
+BESIDE_TIME = wp.constant(1.0)  # [s]; ... or one that will be so soon
+
+
+@wp.func
+def follow_speed(gap: float, lead: float, own: float, rules: RoadRules) -> float:
+    """How fast a rider who moves at `own` may go with a gap [m] to a wheel that moves at `lead` [m/s]."""
+    room = gap - rules.gap - rules.headway * lead - ANTICIPATED * wp.max(own - lead, 0.0)
+    if room < 0.0:
+        return lead + wp.max(FOLLOW_GAIN * room, -DROP_BACK)
+    return wp.min(lead + FOLLOW_GAIN * room, wp.sqrt(lead * lead + 2.0 * rules.braking * room))
+
+
+@wp.func
+def lead_speed(other: int, riders: RoadRiders) -> float:
+    """Speed along the road that can be counted on of who is ahead [m/s]."""
+    along = wp.max(riders.along[other], 0.0)
+    if riders.presence[other] != RIDING:
+        return along
+    return wp.min(along, riders.known_speed[other])
+
+
+@wp.func
+def apart(a: wp.vec2, b: wp.vec2) -> float:
+    """Distance between two intervals (least, greatest), negative where they overlap."""
+    return wp.max(a[0] - b[1], b[0] - a[1])
+
+
+@wp.func
+def speed_behind_others(rider: int, rules: RoadRules, seen: RidersSeen, riders: RoadRiders) -> float:
+    """Greatest speed along the road that those ahead allow [m/s]."""
+    limit = float(NO_LIMIT)
+    offset = riders.offset[rider]
+    lane = riders.lane[rider]
+    own = wp.vec2(wp.min(offset, lane), wp.max(offset, lane))
+    meant = wp.vec2(wp.min(own[0], riders.target[rider]), wp.max(own[1], riders.target[rider]))
+    for k in range(seen.found[rider]):
+        other = seen.indices[rider, k]
+        ahead = seen.ahead[rider, k]
+        if is_before(other, rider, ahead):
+            lead = lead_speed(other, riders)
+            fastest = follow_speed(ahead - rules.body_length, lead, riders.along[rider], rules)
+            if fastest < limit:
+                claimed = claimed_by(other, riders)
+                least = rules.body_half_width + half_width_of(other, rules, riders) + SIDE_MARGIN
+                if apart(own, claimed) < least:
+                    limit = fastest
+                elif apart(meant, claimed) < least:
+                    limit = wp.min(limit, wp.max(fastest, lead - YIELD))
+    return limit
+
+
+@wp.func
+def is_beside(rider: int, other: int, ahead: float, time: float, rules: RoadRules, riders: RoadRiders) -> bool:
+    """Whether another body is beside a rider's or will be within `time` [s], and not in the same line."""
+    between = wp.abs(ahead) - rules.body_length
+    if between > 0.0:
+        width = rules.body_half_width + half_width_of(other, rules, riders)
+        if wp.abs(riders.offset[other] - riders.offset[rider]) < width:
+            return False
+    closing = riders.along[rider] - riders.along[other]
+    if ahead < 0.0:
+        closing = -closing
+    return between < BESIDE + time * wp.max(closing, 0.0)
+
+
+@wp.func
+def is_left(other: int, rider: int, riders: RoadRiders) -> bool:
+    """Whether another is to the left; of two at the same offset, the one of lower index."""
+    gap = riders.offset[other] - riders.offset[rider]
+    return gap > 0.0 or (gap == 0.0 and other < rider)
+
+
+@wp.func
+def room_between_others(
+    rider: int, clearance: float, room: wp.vec2, rules: RoadRules, seen: RidersSeen, riders: RoadRiders
+) -> wp.vec2:
+    """What those beside leave of the room (least, greatest offset) with so much clearance [m]."""
+    low = room[0]
+    high = room[1]
+    for k in range(seen.found[rider]):
+        other = seen.indices[rider, k]
+        if is_beside(rider, other, seen.ahead[rider, k], BESIDE_TIME, rules, riders):
+            taken = taken_by(other, riders)
+            least = rules.body_half_width + half_width_of(other, rules, riders) + clearance
+            if is_left(other, rider, riders):
+                high = wp.min(high, taken[0] - least)
+            else:
+                low = wp.max(low, taken[1] + least)
+    return wp.vec2(low, high)

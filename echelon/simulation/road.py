@@ -1,0 +1,162 @@
+"""A road with riders on it, a user among them, and what stands in their way (`Scene`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from echelon.agents.cyclist import Cyclist
+from echelon.flocking.peloton import Peloton
+from echelon.flocking.road_obstacles import obstacle_outline
+from echelon.flocking.road_riders import UNFINISHED
+from echelon.recording import EVENT_NAMES, Actor
+from echelon.scenario import Scenario
+from echelon.simulation.scene import SceneFrames
+from echelon.terrain.course import Course
+from echelon.terrain.road import RoadTerrain
+from echelon.warp_kernels.character import Character, Population
+from echelon.warp_kernels.frame import Engine, Terrain
+
+MEANS = ("power", "cadence", "shelter")
+"""Measures whose mean over the run a rider's summary tells."""
+
+
+class Road:
+    """The riders' world; see `Scene`.
+
+    Attributes:
+        course: The road.
+        peloton: What riders want.
+    """
+
+    measure_names: tuple[str, ...] = ("progress", "offset", "shelter")
+
+    def __init__(self, scenario: Scenario, device: str = "cpu", world: Mapping[str, Any] | None = None) -> None:
+        """Lay the road.
+
+        Args:
+            scenario: What plays there.
+            device: A Warp device.
+            world: That of a recording to go on with, which holds its course; None loads the scenario's.
+
+        Raises:
+            InputError: There is no such course, or it has no room for riders or obstacles.
+        """
+        self.scenario = scenario
+        self.course = Course.load(scenario.world.course) if world is None else Course.from_dict(world["course"])
+        parked = [obstacle for obstacle in scenario.obstacles if obstacle.kind != "jogger"]
+        self.peloton = Peloton(
+            scenario.peloton,
+            self.course.centreline,
+            self.course.half_width,
+            scenario.crowd.count,
+            frame_rate=scenario.frame_rate,
+            seed=scenario.seed,
+            population_seed=scenario.population_seed,
+            obstacles=scenario.obstacles,
+            user=scenario.user,
+            laps=scenario.world.laps or self.course.laps,
+            device=device,
+        )
+        outlines = [obstacle_outline(obstacle, self.course.centreline) for obstacle in parked]
+        walls = [np.concatenate([corners, np.roll(corners, -1, axis=0)], axis=1) for corners in outlines]
+        self.terrain: Terrain = RoadTerrain.of(self.course, device, np.concatenate([np.zeros((0, 4)), *walls]))
+        self.world: Mapping[str, Any] = {
+            "ground": {"shape": "road"},
+            "course": self.course.to_dict(),
+            "obstacles": [asdict(obstacle) for obstacle in scenario.obstacles],
+            "walls": [],
+        }
+        self.actors: tuple[Actor, ...] = tuple(Actor(name, kind) for name, kind in self.peloton.actors)
+        self._down = np.zeros(scenario.crowd.count, dtype=bool)
+        self._passed = self._counts()
+
+    def people(self, character: Character) -> tuple[Population, np.ndarray]:
+        crowd, grid = self.scenario.crowd, self.peloton.grid
+        count = crowd.count
+        assert isinstance(character, Cyclist), "a scenario on a road has riders"
+        people = character.population(
+            count,
+            self.scenario.population_seed,
+            crowd.variation,
+            crowd.in_phase,
+            heading=grid.headings[:count],
+            speed=grid.speeds[:count],
+            grade=grid.grades[:count],
+        )
+        places = grid.positions[:count].copy()
+        places[:, 2] = self.course.surfaces.height(places[:, :2])
+        return people, places
+
+    def step(self, frame: int, engine: Engine) -> None:
+        self.peloton.step(frame, engine.positions, engine.velocities, engine.command, engine.fallen)
+        self._down = engine.fallen.numpy() != 0
+
+    def keep_actors(self, slot: int, frames: SceneFrames) -> None:
+        if self.actors:
+            frames.actor_poses[slot] = self.peloton.actor_poses()
+
+    def keep(self, frame: int, slot: int, frames: SceneFrames) -> None:
+        referee, riders, count = self.peloton.referee.arrays, self.peloton.riders, self.scenario.crowd.count
+        for place, column in enumerate((referee.progress, riders.offset, riders.shelter)):
+            frames.measures[slot, :, place] = column.numpy()[:count]
+        if np.any(referee.totals.numpy() != self._passed["totals"]):
+            self._note(frame, frames)
+            self._passed = self._counts()
+
+    def _note(self, frame: int, frames: SceneFrames) -> None:
+        """What has begun in this frame; the user is no agent, and has no events of its own."""
+        count, now = self.scenario.crowd.count, self._counts()
+        for name in ("off_road", "struck", "finish"):
+            for agent in np.flatnonzero(now[name][:count] != self._passed[name][:count]):
+                frames.events.append((frame, 0, int(agent), EVENT_NAMES.index(name)))
+        for agent, _ in self.peloton.referee.collisions():
+            frames.events.append((frame, 0, agent, EVENT_NAMES.index("collision")))
+
+    def _counts(self) -> dict[str, np.ndarray]:
+        """What the referee has counted so far; copies."""
+        arrays = self.peloton.referee.arrays
+        counted = {
+            "totals": arrays.totals,
+            "off_road": arrays.off_road_count,
+            "struck": arrays.struck_count,
+            "finish": arrays.finish_frame,
+        }
+        return {name: array.numpy().copy() for name, array in counted.items()}
+
+    def begin(self) -> None:
+        self._passed = self._counts()
+
+    @property
+    def finished(self) -> bool:
+        if self.scenario.until != "finished":
+            return False
+        come_in = self.peloton.referee.arrays.finish_frame.numpy()[: len(self._down)] != UNFINISHED
+        return bool(np.all(self._down | come_in))
+
+    def summary(self, last_frame: int, means: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        found: list[dict[str, Any]] = [*self.peloton.summary()]
+        riders, user = found[: self.scenario.crowd.count], found[self.scenario.crowd.count :]
+        for index, rider in enumerate(riders):
+            rider["fallen"] = bool(self._down[index])
+            rider |= {f"mean_{name}": float(values[index]) for name, values in means.items() if name in MEANS}
+        up = [rider for rider in riders if not rider["fallen"]] or riders
+        return {
+            "off_road": sum(rider["off_road"] for rider in riders),
+            "struck": sum(rider["struck"] for rider in riders),
+            "finished": sum(rider["finish_time"] is not None for rider in riders),
+            "laps": min(rider["laps"] for rider in up),
+            "distance_m": float(np.mean([rider["distance"] for rider in up])),
+            "riders": riders,
+            "user": user[0] if user else None,
+        }
+
+    def state(self) -> dict[str, np.ndarray]:
+        return self.peloton.state() | {"down": self._down.copy()}
+
+    def load_state(self, state: Mapping[str, np.ndarray]) -> None:
+        self.peloton.load_state(state)
+        self._down = np.array(state["down"], dtype=bool)
