@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from echelon.warp_kernels.trace import clamp, maximum, minimum, select
+from echelon.warp_kernels.trace import absolute, clamp, maximum, minimum, select
 
 POWER_SUSTAINED, POWER_PEAK = 300.0, 550.0  # of the usual rider [W]
 PEAK_TIME = 60.0  # for which a rested rider can give the peak power [s]
@@ -28,7 +28,7 @@ RECOVERY = 0.5  # part of the power left unused that fills the reserve
 FADING = 0.1  # the last part of the reserve, over which what can be given falls to the sustained power
 
 SPEED_GAIN = 300.0  # K: force on the road for each m/s that is missing [N s/m]
-TORQUE_LIMIT, SLOWING_LIMIT = 150.0, 60.0  # of the crank, forwards and backwards [N m]
+TORQUE_LIMIT, SLOWING_LIMIT = 110.0, 60.0  # of the crank, forwards and backwards [N m]
 TORQUE_FILTER = 0.08  # time constant of the torque [s]
 
 CADENCE = 80.0 * 2.0 * math.pi / 60.0  # that gears are chosen for [rad/s]
@@ -40,11 +40,14 @@ CHAIN_STIFFNESS, CHAIN_DAMPING = 400.0, 0.7  # at the wheel [N m/rad], [N m s/ra
 BRAKE_MARGIN = 0.4  # brakes are left alone until a rider is this much too fast [m/s]
 BRAKE_GAIN = 1.5  # deceleration for each m/s beyond that [1/s]
 BRAKE_LIMIT = 3.5  # the strongest braking [m/s^2]; at 5 the rear wheel would lift
+BRAKE_LEAN = 0.75  # at which next to no braking is left [rad]
 FRONT_SHARE = 0.6  # of the front wheel's brake
 FULL_GRIP = 1.0  # wheels that turn slower than this are braked less, and stay where they stand [rad/s]
 
 
-def wanted_torque(speed_error: Any, gear: Any, crank_rate: Any, power: Any, wheel_radius: float) -> Any:
+def wanted_torque(
+    speed_error: Any, gear: Any, crank_rate: Any, power: Any, wheel_radius: float, freewheel: bool
+) -> Any:
     """Torque that the legs are to give [N m].
 
     Args:
@@ -53,10 +56,11 @@ def wanted_torque(speed_error: Any, gear: Any, crank_rate: Any, power: Any, whee
         crank_rate: [rad/s].
         power: That may be given [W].
         wheel_radius: [m].
+        freewheel: Whether pushing backwards is of no use.
     """
     torque = (SPEED_GAIN * wheel_radius) * gear * speed_error
     most = minimum(power / maximum(crank_rate, 1.0), TORQUE_LIMIT)
-    return clamp(torque, -SLOWING_LIMIT, most)
+    return clamp(torque, 0.0 if freewheel else -SLOWING_LIMIT, most)
 
 
 def available_power(reserve: Any, sustained: Any, peak: Any) -> Any:
@@ -83,9 +87,17 @@ def right_share(torque: Any, sine: Any) -> Any:
     return select(torque < 0.0, 1.0 - share, share)
 
 
-def brake_torque(speed_error: Any, mass: float, wheel_radius: float) -> Any:
-    """What both brakes hold wheels back with, together [N m], for a speed error that is negative when too fast [m/s]."""
-    deceleration = clamp(-BRAKE_GAIN * (speed_error + BRAKE_MARGIN), 0.0, BRAKE_LIMIT)
+def brake_torque(speed_error: Any, lean: Any, mass: float, wheel_radius: float) -> Any:
+    """What both brakes hold wheels back with, together [N m].
+
+    Args:
+        speed_error: Negative when too fast [m/s].
+        lean: Either way: in a bend the tyres have less to spare [rad].
+        mass: Of bicycle and rider [kg].
+        wheel_radius: [m].
+    """
+    most = BRAKE_LIMIT * maximum(1.0 - absolute(lean) * (1.0 / BRAKE_LEAN), 0.1)
+    deceleration = clamp(-BRAKE_GAIN * (speed_error + BRAKE_MARGIN), 0.0, most)
     return (mass * wheel_radius) * deceleration
 
 

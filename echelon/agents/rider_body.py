@@ -154,11 +154,13 @@ def crank_link(bicycle: BicycleParameters) -> Link:
         Joint(CRANK, "pin", bicycle.bottom_bracket, (BACKWARD,), continuous=True),
         CRANK_MASS,
         inertia=_diagonal(*CRANK_INERTIA),
-        visuals=crank_visuals(bicycle.crank_length, bicycle.pedal_offset),
+        visuals=looks.without_pedals(crank_visuals(bicycle.crank_length, bicycle.pedal_offset)),
     )
 
 
-def rider_links(rider: RiderParameters, bicycle: BicycleParameters, *, head_and_hands: bool = False) -> tuple[Link, ...]:
+def rider_links(
+    rider: RiderParameters, bicycle: BicycleParameters, *, head_and_hands: bool = False
+) -> tuple[Link, ...]:
     """The rider's links, hanging on the frame at the saddle.
 
     Args:
@@ -275,9 +277,7 @@ def rider_springs(rider: RiderParameters, bicycle: BicycleParameters, *, head_an
     return tuple(springs)
 
 
-def rider_sites(
-    rider: RiderParameters, bicycle: BicycleParameters, *, head_and_hands: bool
-) -> tuple[ContactSite, ...]:
+def rider_sites(rider: RiderParameters, bicycle: BicycleParameters, *, head_and_hands: bool) -> tuple[ContactSite, ...]:
     """What of bicycle and rider meets the ground after a fall, and the `bumper` that obstacles stop."""
     stem = bicycle.on_steer_axis(bicycle.front_wheel.radius)
     stature = rider.upper_leg_length / 0.44
@@ -289,11 +289,12 @@ def rider_sites(
         else ("helmet", TRUNK, (0.05, 0.0, 0.60), (0.12, 0.12, 0.12), 1.0),
     ]
     for side, sign in SIDES:
-        places.append((f"{side}_knee", f"{side}_lower_leg", (0.0, 0.0, 0.0), (0.07, 0.07, 0.07), 0.5))
+        # Long ellipsoids: from knee to ankle, from elbow to hand.
+        shin, arm = 0.5 * rider.lower_leg_length / stature, 0.5 * rider.lower_arm_length / stature
+        places.append((f"{side}_shin", f"{side}_lower_leg", (0.0, 0.0, -shin), (0.06, 0.06, shin + 0.08), 0.5))
         bar = (bicycle.grip[0] - stem[0], sign * (bicycle.grip[1] + 0.01), bicycle.grip[2] - stem[2])
         places.append((f"{side}_bar", FORK, bar, (0.03, 0.03, 0.03), 0.3))
-        hand = (0.0, 0.0, -rider.wrist)
-        places.append((f"{side}_wrist", f"{side}_lower_arm", hand, (0.05, 0.05, 0.05), 0.15))
+        places.append((f"{side}_forearm", f"{side}_lower_arm", (0.0, 0.0, -arm), (0.045, 0.045, arm + 0.03), 0.15))
     grounded = [
         ContactSite(
             name,

@@ -21,6 +21,8 @@ SOCK: Vec3 = (0.80, 0.80, 0.80)
 GLOVE: Vec3 = (0.03, 0.03, 0.035)
 HELMET: Vec3 = (0.78, 0.79, 0.80)
 VENT: Vec3 = (0.02, 0.02, 0.025)
+NUMBER: Vec3 = (0.85, 0.85, 0.82)
+PEDAL: Vec3 = (0.03, 0.03, 0.035)
 GLASSES: Vec3 = (0.01, 0.01, 0.012)
 
 
@@ -41,8 +43,8 @@ def trunk_visuals(shoulder: Vec3, neck: Vec3) -> tuple[Visual, ...]:
         Visual("ellipsoid", (0.105, 0.140, 0.17), (-0.005, 0.0, 0.10)),
         Visual("ellipsoid", (0.120, 0.170, 0.20), (-0.010, 0.0, 0.27)),
         tube((-0.005, width - 0.03, height), (-0.005, -width + 0.03, height), 0.062, None),
-        # Three pockets along the small of the back.
-        Visual("ellipsoid", (0.030, 0.110, 0.060), (-0.100, 0.0, 0.085), color=SHORTS),
+        # A race number low on the back.
+        Visual("box", (0.012, 0.070, 0.060), (-0.109, 0.0, 0.17), (0.0, -0.035, 0.0, 0.9994), NUMBER),
         tube((0.005, 0.0, height), (neck[0] + 0.02, 0.0, neck[2] + 0.05), 0.055, SKIN),
     )
 
@@ -73,8 +75,8 @@ def head_visuals(neck: Vec3, flexion: float) -> tuple[Visual, ...]:
 def upper_leg_visuals(length: float) -> tuple[Visual, ...]:
     """Thigh in shorts down to a hand's breadth above the knee."""
     return (
-        Visual("ellipsoid", (0.092, 0.082, 0.36 * length), (0.004, 0.0, -0.30 * length), color=SHORTS),
-        Visual("ellipsoid", (0.068, 0.062, 0.40 * length), (0.006, 0.0, -0.62 * length), color=SKIN),
+        Visual("ellipsoid", (0.094, 0.084, 0.42 * length), (0.004, 0.0, -0.28 * length), color=SHORTS),
+        Visual("ellipsoid", (0.072, 0.066, 0.44 * length), (0.006, 0.0, -0.60 * length), color=SKIN),
         Visual("ellipsoid", (0.058, 0.052, 0.062), (0.008, 0.0, -length), color=SKIN),
     )
 
@@ -89,12 +91,13 @@ def lower_leg_visuals(length: float) -> tuple[Visual, ...]:
 
 
 def foot_visuals(sole: Vec3) -> tuple[Visual, ...]:
-    """A shoe with a stiff sole, its ball on the pedal."""
+    """A shoe with a stiff sole, its ball on the pedal, and the pedal, which is clipped to it and stays level with it."""
     ball, low = sole[0], sole[2]
     return (
         Visual("ellipsoid", (0.140, 0.045, 0.040), (ball - 0.055, 0.0, low + 0.048), color=SHOE),
         Visual("ellipsoid", (0.062, 0.038, 0.062), (-0.012, 0.0, -0.040), color=SHOE),
         Visual("ellipsoid", (0.138, 0.044, 0.012), (ball - 0.055, 0.0, low + 0.018), color=SOLE),
+        Visual("box", (0.042, 0.036, 0.009), (ball, 0.0, low), color=PEDAL),
     )
 
 
@@ -119,6 +122,11 @@ def hand_visuals(reach: float, wrist: float) -> tuple[Visual, ...]:
     """A gloved hand about the hood of the bars, in the lower arm's axes."""
     middle = 0.5 * (wrist + reach) + 0.01
     return (Visual("ellipsoid", (0.036, 0.040, 0.5 * (reach - wrist) + 0.025), (0.0, 0.0, -middle), color=GLOVE),)
+
+
+def without_pedals(cranks: Sequence[Visual]) -> tuple[Visual, ...]:
+    """Cranks whose pedals are drawn with the shoes: they do not turn with the cranks."""
+    return tuple(visual for visual in cranks if visual.shape != "box")
 
 
 def moved(visuals: Sequence[Visual], by: Vec3) -> tuple[Visual, ...]:

@@ -37,6 +37,8 @@ GRAVITY = 9.80665  # [m/s^2]
 
 # Speed [m/s], and k_a, k_a' [s], k_b, k_b' [s].
 GAINS: tuple[tuple[float, float, float, float, float], ...] = (
+    (1.0, 6.65, 2.23, 0.05, 0.70),
+    (1.5, 3.62, 1.22, 0.112, 0.467),
     (2.0, 2.35, 0.79, 0.20, 0.35),
     (3.0, 1.64, 0.56, 0.30, 0.21),
     (4.0, 1.19, 0.405, 0.32, 0.133),
@@ -53,6 +55,7 @@ HEADING_LEAN = math.radians(25.0)  # a heading error counts for no more than wha
 FORK_FILTER = 0.020  # time constant of the angle that the arms are asked for [s]
 PURSUIT_FILTER = 0.08  # of the curvature that is wanted, twice one after the other [s]
 TURNING_DELAY = 0.5  # from wanting a circle to riding it [s]
+LEANING_RATE = 1.3  # at which the lean that is wanted may change [rad/s]
 FORK_LIMIT = 0.9  # of the angle that arms can reach [rad]
 LEAST_LOOK_AHEAD, LEAST_LOOK_TIME = 2.0, 1.35  # points nearer than this are taken to be as far [m], [s]
 LEAST_RADIUS = 3.0  # of a circle that is asked for [m]
@@ -147,6 +150,14 @@ def filtered(value: Any, target: Any, time_constant: float, tick: float) -> Any:
     return value + (1.0 - math.exp(-tick / time_constant)) * (target - value)
 
 
+def followed_curvature(before: Any, wanted: Any, speed: Any, tick: float) -> Any:
+    """A tick on from a curvature to the one that is wanted, no faster than a body can be thrown over [1/m]."""
+    speed = maximum(speed, LEAST_SPEED)
+    most = (tick * LEANING_RATE * GRAVITY) / (speed * speed)
+    change = (1.0 - math.exp(-tick / PURSUIT_FILTER)) * (wanted - before)
+    return before + clamp(change, -most, most)
+
+
 def pursuit_fork(attitude: Attitude, curvature: Any, bicycle: BicycleParameters) -> tuple[Any, Any]:
     """The fork angle that rides along a circle, and the lean that goes with it [rad]."""
     speed = maximum(attitude.speed, LEAST_SPEED)
@@ -156,9 +167,7 @@ def pursuit_fork(attitude: Attitude, curvature: Any, bicycle: BicycleParameters)
     lean = -atan2(tangent * upright, upright)
     gain_a, gain_rate, _, gain_turning = scheduled_gains(attitude.speed)
     law = (
-        -gain_a * (attitude.lean - lean)
-        - gain_rate * attitude.lean_rate
-        + gain_turning * (attitude.yaw_rate - turning)
+        -gain_a * (attitude.lean - lean) - gain_rate * attitude.lean_rate + gain_turning * (attitude.yaw_rate - turning)
     )
     # On a circle the front wheel points off the frame by w / R, seen from above the leaning steer axis.
     angle = (bicycle.wheelbase / math.cos(bicycle.steer_tilt)) * curvature * upright

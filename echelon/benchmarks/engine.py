@@ -61,7 +61,7 @@ PEER_LADDER = (1 / 720, 1 / 480, 1 / 300, 1 / 240, 1 / 180, 1 / 120)
 """Of MuJoCo where there is control: a step longer than a tick would let it act less often [s]."""
 PEER_FLIGHT_LADDER = (*PEER_LADDER, 1 / 60)
 
-PEER_INTEGRATORS = ("euler", "euler-explicit", "implicitfast", "discrete")  # those of our default's order and cost
+PEER_INTEGRATORS = ("euler", "plain euler", "implicitfast", "discrete")  # those of our default's order and cost
 NO_PEER = "MuJoCo is not installed; `pip install 'echelon[bench]'` adds it"
 
 

@@ -29,7 +29,7 @@ from echelon.warp_kernels.model import ContactSite, Link, Model, Spring, Use
 
 _QUATERNION_WXYZ = (3, 0, 1, 2)  # where w x y z stand among our x y z w
 
-EXPLICIT_DAMPING = "euler-explicit"
+EXPLICIT_DAMPING = "plain euler"
 """What we call MuJoCo's Euler without the implicit joint damping of its default, which costs a factorisation."""
 
 INTEGRATORS: Mapping[str, Any] = {

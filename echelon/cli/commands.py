@@ -131,6 +131,8 @@ class Camera(StrEnum):
     FOLLOW = "follow"
     OVERVIEW = "overview"
     CORRAL = "corral"
+    ROADSIDE = "roadside"
+    HELICOPTER = "helicopter"
 
 
 class Study(StrEnum):
@@ -151,7 +153,8 @@ RepresentationOption = Annotated[
     "simulate",
     "  echelon simulate border-collie --out herd.usd --film herd.mp4\n"
     "  echelon simulate herd --agents 105 --seconds 60 --seed 7\n"
-    "  echelon simulate my-scene.toml --set herd.spacing=3 --set world.fence_height=1 --json",
+    "  echelon simulate my-scene.toml --set herd.spacing=3 --set world.fence_height=1 --json\n"
+    "  echelon simulate olympic-race --course ride.gpx --out race.usd",
 )
 def simulate(
     scenario: Annotated[
@@ -160,6 +163,10 @@ def simulate(
     agents: Annotated[int | None, typer.Option(min=1, metavar="N", help="How many characters.")] = None,
     seconds: Annotated[float | None, typer.Option(metavar="S", help="How long to simulate, at most.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, metavar="K", help="Seed of what happens at random.")] = None,
+    course: Annotated[
+        str | None,
+        typer.Option(metavar="COURSE", help="Ride on this course: a name, a .toml file, or a GPS track (.gpx)."),
+    ] = None,
     threads: Threads = None,
     settings: Annotated[
         list[str] | None,
@@ -183,7 +190,7 @@ def simulate(
     from echelon.scenario import Scenario
 
     overrides = list(settings or ())
-    for key, value in (("crowd.count", agents), ("seconds", seconds), ("seed", seed)):
+    for key, value in (("crowd.count", agents), ("seconds", seconds), ("seed", seed), ("world.course", course)):
         overrides += [f"{key}={value}"] if value is not None else []
     plan = Scenario.load(scenario, overrides)
     folder = recording or (out.with_suffix(".recording") if out is not None else Path(f"{plan.name}.recording"))

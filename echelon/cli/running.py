@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import sys
 import time
@@ -185,10 +186,47 @@ def _report(recording: Recording, clock: _LoopClock, made: dict[str, Path | None
 def _report_text(report: dict[str, Any]) -> str:
     took = f"{duration(report['wall_seconds'])}, {report['real_time_factor']:.3g} x real time"
     lines = [f"{report['scenario']}: {report['agents']} agents, {report['seconds']:g} s simulated in {took}"]
-    hidden = ("scenario", "agents", "seconds", "wall_seconds", "startup_seconds", "real_time_factor")
+    hidden = ("scenario", "agents", "seconds", "wall_seconds", "startup_seconds", "real_time_factor", "riders", "user")
+    hidden += ("in_corral",) if "riders" in report else ()
     shown = {key: value for key, value in report.items() if key not in hidden and value is not None}
     width = max(len(key) for key in shown)
-    return "\n".join(lines + [f"  {key.replace('_', ' '):<{width}}  {value}" for key, value in shown.items()])
+    lines += [f"  {key.replace('_', ' '):<{width}}  {_shown(value)}" for key, value in shown.items()]
+    return "\n".join(lines + (_standings(report) if "riders" in report else []))
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.1f}" if isinstance(value, float) and abs(value) >= 100.0 else str(value)
+
+
+STANDINGS_SHOWN = 20
+
+
+def _standings(report: dict[str, Any]) -> list[str]:
+    """A race's table: who came in when, who is still on the road, who fell."""
+    entries = [(f"rider {index}", rider) for index, rider in enumerate(report["riders"])]
+    entries += [("user", report["user"])] if report["user"] is not None else []
+
+    def order(entry: tuple[str, dict[str, Any]]) -> tuple[float, float]:
+        time = entry[1]["finish_time"]
+        return (math.inf if time is None else time, -entry[1]["progress"])
+
+    lines = ["", "       rider      time       distance  mean power  shelter"]
+    for place, (name, rider) in enumerate(sorted(entries, key=order)[:STANDINGS_SHOWN], start=1):
+        time, power = rider["finish_time"], rider.get("mean_power")
+        came_in = "fallen" if rider.get("fallen") else "riding" if time is None else _race_time(time)
+        watts = "" if power is None else f"{power:.0f} W"
+        lines.append(
+            f"  {place:3d}  {name:<9}  {came_in:<9}  {rider['distance'] / 1000.0:5.2f} km  {watts:>10}"
+            f"  {rider['shelter']:7.0%}"
+        )
+    if len(entries) > STANDINGS_SHOWN:
+        lines.append(f"       and {len(entries) - STANDINGS_SHOWN} more")
+    return lines
+
+
+def _race_time(seconds: float) -> str:
+    minutes, rest = divmod(seconds, 60.0)
+    return f"{int(minutes)}:{rest:04.1f}"
 
 
 @contextmanager

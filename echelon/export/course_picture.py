@@ -21,11 +21,11 @@ from echelon.terrain.course import Course
 from echelon.terrain.course_facts import course_facts
 
 PAGE = (10.0, 9.6)  # [inch]
-DOTS_PER_INCH = 110
+DOTS_PER_INCH = 96
 SUFFIXES = (".png", ".pdf", ".svg")
 
-_SAMPLES = 4000  # along the course: a page shows no more
-_LAND_CELLS = 240  # of the land, along the longer side of the plan
+_SAMPLES = 2000  # along the course: a page shows no more
+_LAND_CELLS = 160  # of the land, along the longer side of the plan
 _INK, _FAINT = "#30363d", "#9aa4ad"
 _LAND = LinearSegmentedColormap.from_list("land", ["#e3ebd9", "#eef0e2", "#f4efe3", "#ece1d0"])
 _GRADES = LinearSegmentedColormap.from_list(

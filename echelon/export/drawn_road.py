@@ -48,7 +48,7 @@ def drawn_road(scene: RoadScene) -> DrawnRoad:
     """A scene as the pictures see it."""
     things: list[DrawnThings] = []
     for placed in scene.placed:
-        turns = Rotation.from_euler("z", placed.yaws).as_matrix()
+        turns = Rotation.from_euler("z", placed.yaws[:, None]).as_matrix()
         for number, name in enumerate(VARIANTS[placed.kind]):
             chosen = placed.variants == number
             if chosen.any():

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from echelon.export.road_scene import GRASS
+
 DRY = np.array([0.215, 0.205, 0.075])  # grass where it is dry
 MOWN = 3.0  # [m] of the verge along the road, mown to and fro
 WHEEL_TRACKS = 0.05  # how much darker asphalt is where cars roll
@@ -26,19 +28,29 @@ def ground_albedo(
         spacing: From point to point of the mesh [m], shape [n]: finer tones are left out.
     """
     if name == "land":
-        tone = 0.30 * _shade(places, 2.3, spacing) + 0.24 * _shade(places, 17.0, spacing)
-        dry = np.clip(1.6 * _noise(places, 70.0) - 0.55, 0.0, 0.75)[:, None]
-        return (base + dry * (DRY - base)) * (1.0 + tone[:, None])
+        return _grass(base, places, spacing)
     if name == "verge" and uv is not None:
-        stripe = np.where(np.floor(uv[:, 1] / MOWN) % 2 == 0, 0.09, -0.09) * _fade(spacing, MOWN)
-        tone = 0.30 * _shade(places, 1.1, spacing) + stripe
-        return base * (1.0 + tone[:, None])
+        stripe = np.where(np.floor(uv[:, 1] / MOWN) % 2 == 0, 0.08, -0.08) * _fade(spacing, 2.0 * MOWN)
+        tone = 0.34 * _shade(places, 0.8, spacing) + 0.12 * _shade(places, 5.0, spacing) + stripe
+        mown = base * (1.0 + tone[:, None])
+        # Away from the road the verge becomes the land.
+        inner = np.abs(uv[:, 0]) - np.abs(uv[:, 0]).min(initial=np.inf)
+        away = np.clip((inner - 2.0) / 3.5, 0.0, 1.0)[:, None]
+        return mown + away * (_grass(np.array(GRASS), places, spacing) - mown)
     if name == "paint":
         return base * (1.0 + 0.10 * _shade(places, 0.6, spacing)[:, None])
-    tone = 0.22 * _shade(places, 0.9, spacing) + 0.20 * _shade(places, 7.0, spacing)
+    tone = 0.30 * _shade(places, 0.6, spacing) + 0.22 * _shade(places, 7.0, spacing)
     if name == "asphalt" and uv is not None:
         tone += WHEEL_TRACKS * np.cos(8.0 * np.pi * (uv[:, 0] - 0.5))
     return base * (1.0 + tone[:, None])
+
+
+def _grass(base: np.ndarray, places: np.ndarray, spacing: np.ndarray) -> np.ndarray:
+    tone = (
+        0.34 * _shade(places, 1.1, spacing) + 0.22 * _shade(places, 4.5, spacing) + 0.22 * _shade(places, 21.0, spacing)
+    )
+    dry = np.clip(1.5 * _noise(places, 70.0) - 0.5, 0.0, 0.7)[:, None]
+    return (base + dry * (DRY - base)) * (1.0 + tone[:, None])
 
 
 def _shade(places: np.ndarray, size: float, spacing: np.ndarray) -> np.ndarray:

@@ -35,6 +35,7 @@ SNAPSHOT_SIZE = (480, 300)  # [pixels], one of a strip
 SIZE_LIMITS = (16, 8192)  # [pixels]
 SNAPSHOT_LIMIT = 60
 SNAPSHOTS_IN_ROW = 6
+DETAIL = 32.0  # [pixels] that a metre measures in the picture, from which on bodies on a road show every detail
 GUTTER = 4  # [pixels] between the snapshots of a strip
 
 _FRAMES_AT_ONCE = 64  # read from the recording
@@ -206,10 +207,17 @@ class _Shot:
                 if window is None or cell != window.cell:
                     window = beside.window(cell)
                     renderer.replace_scenery(window.surfaces)
-                ground = beside.shadow_planes(np.concatenate([links[:, 0, :3], actors[:, :3]]))
+                places = np.concatenate([links[:, 0, :3], actors[:, :3]])
+                ground = beside.shadow_planes(places)
                 ground[:, 3] -= ground[:, :3] @ window.origin
-                surfaces = moving.surfaces(_moved(links, -window.origin), _moved(actors, -window.origin), ground)
+                close = self._pixels_a_metre(view, places) > DETAIL
+                surfaces = moving.surfaces(_moved(links, -window.origin), _moved(actors, -window.origin), ground, close)
                 yield renderer.draw(view.moved(-window.origin), surfaces)
+
+    def _pixels_a_metre(self, view: View, places: np.ndarray) -> np.ndarray:
+        """How large a metre is in the picture at places [m], shape [n, 3]."""
+        distances = np.linalg.norm(places - np.asarray(view.eye), axis=1)
+        return self.size[1] / (2.0 * np.tan(0.5 * view.field_of_view) * np.maximum(distances, 1e-3))
 
     def common_view(self, frames: Sequence[int]) -> View:
         """One view of all bodies at all of some frames."""

@@ -29,7 +29,7 @@ GROUP_SMOOTHING = 1.5  # [s] to either side
 EXTENT_SMOOTHING = 3.0  # [s]
 WAY_SECONDS = 12.0  # [s] before and after a picture, of the group's way that it may depend on
 
-FOLLOW_GAP = 6.5  # [m] from the camera to the last of the group
+FOLLOW_GAP = 7.5  # [m] from the camera to the last of the group
 FOLLOW_AHEAD = 7.0  # [m] ahead of the group's middle that the camera looks at
 FOLLOW_HEIGHT = (2.3, 0.13)  # [m] above the road, and more for each metre that it is behind the middle
 FOLLOW_FIELD = float(np.radians(38.0))
@@ -40,7 +40,7 @@ AIR_FIELD = float(np.radians(30.0))
 AIR_SMOOTHING = 4.0  # [s]
 
 STATION_SPAN = 90.0  # [m] of road that one place beside it shows
-STATION_ASIDE = 7.0  # [m] from the group's way
+STATION_ASIDE = 8.5  # [m] from the group's way
 STATION_HEIGHT = 1.6  # [m]
 STATION_ROOM = 3.2  # [m] to trees and houses
 STATION_FIELDS = (float(np.radians(9.0)), float(np.radians(46.0)))

@@ -13,27 +13,32 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from echelon.export.displayed_ground import DisplayedGround
 from echelon.export.drawn_road import DrawnRoad, DrawnThings
 from echelon.export.ground_colors import ground_albedo
-from echelon.export.light import SHADOW_COLOR, STANDING_SHADOWS, display_encoded, flattened, lit
+from echelon.export.light import SHADOW_COLOR, ShadowLayers, display_encoded, flattened, lit
 from echelon.export.mesh_parts import separate_parts
 from echelon.export.renderer import Surface, joined
 from echelon.export.road_scene import GroundPart
 from echelon.export.scenery import HAZE, HORIZON, MEADOW, hills, sky
+from echelon.export.shapes import Mesh
 from echelon.export.shapes import joined as joined_meshes
+from echelon.warp_kernels.model import Vec3
 
 CELL = 24.0  # [m] of the grid of windows
 GROUND_REACH = 1500.0  # [m] from the middle of a window
-FINE_GROUND = ((38.0, 1.6), (85.0, 4.0), (190.0, 12.0))  # [m]: within so far, triangles are no longer than that
-MOST_CUTS = 40  # of a triangle's side
+FINE_GROUND = ((190.0, 10.0), (70.0, 3.0), (32.0, 1.0))  # [m]: within so far, triangles are no longer than that
 THING_REACH = {"house": 1000.0, "townhouse": 1000.0, "lamp": 260.0, "hydrant": 110.0}
 OTHER_REACH = 650.0  # [m], of trees and what else there is
 SHADOW_REACH = 110.0  # [m]
 HAZE_REACH = 1050.0  # [m] at which half of a colour is lost
 SHADOW_LIFT = 0.013  # [m] of shadows above the road, so that paint lies beneath them
+SHADOW_CUT = 1.5  # [m], length of the pieces in which shadows lie on the ground
+STANDING = ShadowLayers(top=0.016, bottom=0.002, least_count=5)
+SOLID_THINGS = ("house", "townhouse", "car", "barrier")  # whose shadow is that of their hull
+SLENDER_THINGS = ("lamp", "hydrant")  # whose pieces each have a shadow of their own
 SKIRT_DEPTH = 6.0  # [m] that the ground beyond the land lies lower, far away
 
 
@@ -72,7 +77,7 @@ class RoadScenery:
         planes[:, 3] += SHADOW_LIFT
         return planes
 
-    def cell(self, eye: np.ndarray) -> tuple[int, int, int]:
+    def cell(self, eye: Vec3) -> tuple[int, int, int]:
         """In which cell a camera is [m]."""
         x, y, z = np.floor(np.asarray(eye) / CELL).astype(int).tolist()
         return (x, y, z)
@@ -123,54 +128,56 @@ class _Ground:
         triangles = part.mesh.triangles
         self.part = part
         self.corners = part.mesh.points[triangles].astype(np.float64)
-        self._normals = part.mesh.normals[triangles].astype(np.float64)
-        self._uv = None if part.uv is None else part.uv[triangles].astype(np.float64)
+        columns = [self.corners, part.mesh.normals[triangles].astype(np.float64)]
+        if part.uv is not None:
+            columns.append(part.uv[triangles].astype(np.float64))
+        self._rows = np.concatenate(columns, axis=2)
         plan = self.corners[..., :2]
         self._centers = plan.mean(axis=1)
         self._radii = np.linalg.norm(plan - self._centers[:, None], axis=2).max(axis=1)
-        sides = np.linalg.norm(self.corners - np.roll(self.corners, 1, axis=1), axis=2)
-        self._sides = sides.max(axis=1)
 
     def surface(self, middle: np.ndarray, origin: np.ndarray) -> Surface | None:
-        distance = np.maximum(np.linalg.norm(self._centers - middle[:2], axis=1) - self._radii, 0.0)
-        near = np.flatnonzero(distance < GROUND_REACH)
-        if not len(near):
+        near = np.linalg.norm(self._centers - middle[:2], axis=1) - self._radii < GROUND_REACH
+        rows = self._rows[near]
+        if not len(rows):
             return None
-        cuts = np.ones(len(near), dtype=np.int64)
         if self.part.name != "paint":
-            for reach, length in reversed(FINE_GROUND):
-                fine = distance[near] < reach
-                cuts[fine] = np.clip(np.ceil(self._sides[near[fine]] / length), 1, MOST_CUTS).astype(np.int64)
-        surfaces = [self._cut(near[cuts == count], int(count), middle, origin) for count in np.unique(cuts)]
-        return joined(surfaces)
-
-    def _cut(self, chosen: np.ndarray, count: int, middle: np.ndarray, origin: np.ndarray) -> Surface:
-        """Some triangles, each side cut into so many."""
-        weights, template = _subdivision(count)
-        points = (weights @ self.corners[chosen]).reshape(-1, 3)
-        normals = (weights @ self._normals[chosen]).reshape(-1, 3)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-        uv = None if self._uv is None else (weights @ self._uv[chosen]).reshape(-1, 2)
-        spacing = np.repeat(self._sides[chosen] / count, len(weights))
-        albedo = ground_albedo(self.part.name, np.array(self.part.color), points[:, :2], uv, spacing)
+            for reach, length in FINE_GROUND:
+                plan = rows[..., :2]
+                centers = plan.mean(axis=1)
+                radii = np.linalg.norm(plan - centers[:, None], axis=2).max(axis=1)
+                close = np.linalg.norm(centers - middle[:2], axis=1) - radii < reach
+                rows = np.concatenate([rows[~close], bisected(rows[close], length)])
+        sides = np.linalg.norm(rows[..., :3] - np.roll(rows[..., :3], 1, axis=1), axis=2).max(axis=1)
+        flat = rows.reshape(-1, rows.shape[2])
+        points, normals = flat[:, :3], flat[:, 3:6] / np.linalg.norm(flat[:, 3:6], axis=1, keepdims=True)
+        uv = flat[:, 6:8] if flat.shape[1] > 6 else None
+        albedo = ground_albedo(self.part.name, np.array(self.part.color), points[:, :2], uv, np.repeat(sides, 3))
         distance = np.linalg.norm(points - middle, axis=1)
         colors = hazy(lit(albedo, normals.astype(np.float32)), distance)
-        triangles = (template + len(weights) * np.arange(len(chosen))[:, None, None]).reshape(-1, 3)
-        return Surface((points - origin).astype(np.float32), colors, triangles)
+        return Surface((points - origin).astype(np.float32), colors, np.arange(len(flat)).reshape(-1, 3))
 
 
-def _subdivision(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric weights of the points of a triangle whose sides are cut into so many, and its small triangles."""
-    rows = [(i, j) for i in range(count + 1) for j in range(count + 1 - i)]
-    number = {place: index for index, place in enumerate(rows)}
-    triangles = []
-    for i, j in rows:
-        if i + j < count:
-            triangles.append((number[i, j], number[i + 1, j], number[i, j + 1]))
-        if i + j < count - 1:
-            triangles.append((number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]))
-    weights = np.array([[count - i - j, i, j] for i, j in rows]) / count
-    return weights, np.array(triangles)
+def bisected(rows: np.ndarray, length: float) -> np.ndarray:
+    """Triangles halved across their longest side until no side is longer than a length [m].
+
+    Args:
+        rows: Of each corner the point, then whatever else is to be interpolated, shape [triangles, 3, columns].
+        length: [m].
+    """
+    done = [rows[:0]]
+    while len(rows):
+        sides = np.linalg.norm(rows[:, [1, 2, 0], :3] - rows[..., :3], axis=2)
+        longest = sides.argmax(axis=1)
+        halved = sides[np.arange(len(rows)), longest] > length
+        done.append(rows[~halved])
+        rows, longest = rows[halved], longest[halved]
+        # Turned so that the longest side runs from the first corner to the second.
+        turn = (longest[:, None] + np.arange(3)) % 3
+        a, b, c = (rows[np.arange(len(rows)), turn[:, corner]] for corner in range(3))
+        middle = 0.5 * (a + b)
+        rows = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.concatenate(done)
 
 
 def _skirt(land: list[GroundPart]) -> tuple[np.ndarray, np.ndarray]:
@@ -214,7 +221,7 @@ class _Things:
         sizes = [len(mesh.points) for mesh in meshes]
         self._own = np.repeat([part.color is None for part in things.parts], sizes)
         self._albedo = np.repeat(np.array([part.color or (0.0, 0.0, 0.0) for part in things.parts]), sizes, axis=0)
-        self._piece = separate_parts(whole)
+        self._outlines = _outlines(things, whole)
         self._reach = THING_REACH.get(things.name, OTHER_REACH)
         self._tree = KDTree(things.positions[:, :2])
 
@@ -238,24 +245,47 @@ class _Things:
         near = np.sort(self._tree.query_ball_point(middle[:2], min(SHADOW_REACH, self._reach))).astype(np.int64)
         if not len(near):
             return None
-        positions = self._things.positions[near]
-        planes = ground.planes(positions)
-        # Things that stand side by side may overlap in shadow: layers of their own as far as there are any.
-        layer = self._piece[None] + (int(self._piece.max()) + 1) * near[:, None]
-        heights = STANDING_SHADOWS.heights(layer, int(self._piece.max()) + 1)
-        flat = flattened(self._placed(near), np.zeros(heights.shape), planes[:, None]).reshape(-1, 3)
-        flat[:, 2] = ground.heights(flat) + SHADOW_LIFT + heights.reshape(-1)
-        triangles = self._triangles + len(self._points) * np.arange(len(near))[:, None, None]
-        triangles = triangles.reshape(-1, 3)
+        planes = ground.planes(self._things.positions[near])
+        flat = flattened(self._placed(near), np.zeros((len(near), len(self._points))), planes[:, None])
+        surfaces = []
+        for row, thing in enumerate(near.tolist()):
+            for number, members in enumerate(self._outlines):
+                # Neighbours overlap in shadow: layers of their own, as far as there are any.
+                layer = np.array(len(self._outlines) * thing + number)
+                rows = bisected(_filled(flat[row, members]), SHADOW_CUT)
+                points = rows.reshape(-1, 3)
+                points[:, 2] = ground.heights(points) + SHADOW_LIFT + float(STANDING.heights(layer, 1))
+                surfaces.append((int(layer) % STANDING.least_count, (points - origin).astype(np.float32)))
         # Layers are drawn from the top down: the depth test lets only the first one darken.
-        order = np.argsort(-heights.reshape(-1)[triangles[:, 0]], kind="stable")
-        colors = np.broadcast_to(SHADOW_COLOR, (len(flat), 4))
-        return Surface((flat - origin).astype(np.float32), colors, triangles[order])
+        points = np.concatenate([points for _, points in sorted(surfaces, key=lambda entry: entry[0])])
+        colors = np.broadcast_to(SHADOW_COLOR, (len(points), 4))
+        return Surface(points, colors, np.arange(len(points)).reshape(-1, 3))
 
     def _placed(self, near: np.ndarray) -> np.ndarray:
         """Points of some things in the world [m], shape [things, points, 3]."""
         turned = self._points @ self._things.frames[near].transpose(0, 2, 1)
         return turned + self._things.positions[near][:, None]
+
+
+def _outlines(things: DrawnThings, whole: Mesh) -> list[np.ndarray]:
+    """Indices of points whose hulls, laid flat, are the shadow: of the whole, of each part, or of each piece."""
+    if things.name in SOLID_THINGS:
+        return [np.arange(len(whole.points))]
+    if things.name in SLENDER_THINGS:
+        piece = separate_parts(whole)
+        return [np.flatnonzero(piece == number) for number in range(int(piece.max()) + 1)]
+    ends = np.cumsum([len(part.mesh.points) for part in things.parts])
+    return [np.arange(end - len(part.mesh.points), end) for part, end in zip(things.parts, ends, strict=True)]
+
+
+def _filled(points: np.ndarray) -> np.ndarray:
+    """Triangles of the convex hull, on the map, of points [n, 3]; shape [triangles, 3, 3]."""
+    try:
+        outline = points[ConvexHull(points[:, :2]).vertices]
+    except QhullError:  # all on a line
+        return np.empty((0, 3, 3))
+    here = np.arange(1, len(outline) - 1)
+    return np.stack([np.broadcast_to(outline[0], (len(here), 3)), outline[here], outline[here + 1]], axis=1)
 
 
 def _shifted(surface: Surface, height: float) -> Surface:

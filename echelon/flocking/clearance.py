@@ -34,8 +34,9 @@ wp.set_module_options({"enable_backward": False})
 FOLLOW_GAIN = wp.constant(0.6)  # [1/s]; speed for each metre that the gap is too short or too long
 SIDE_MARGIN = wp.constant(0.15)  # [m]; nearer than this sideways, who is ahead is in the same line
 ANTICIPATED = wp.constant(1.5)  # [s]; the gap counts as what will be left of it after so long at this speed
-DROP_BACK = wp.constant(2.5)  # [m/s]; never slower than who is ahead by more than this
-YIELD = wp.constant(1.5)  # [m/s]; the same where one only means to move behind another
+FORESEEN = wp.constant(1.0)  # [m/s]
+DROP_BACK = wp.constant(2.0)  # [m/s]; never slower than who is ahead by more than this
+YIELD = wp.constant(1.2)  # [m/s]; the same where one only means to move behind another
 BESIDE = wp.constant(0.4)  # [m]; a body so little ahead or behind counts as beside...
 BESIDE_TIME = wp.constant(1.0)  # [s]; ... or one that will be so soon
 
@@ -51,11 +52,15 @@ def follow_speed(gap: float, lead: float, own: float, rules: RoadRules) -> float
 
 @wp.func
 def lead_speed(other: int, riders: RoadRiders) -> float:
-    """Speed along the road that can be counted on of who is ahead [m/s]."""
+    """Speed along the road that can be counted on of who is ahead [m/s].
+
+    Of what another is about to slow down by, no more than `FORESEEN` counts: where many yield to one another, each a
+    little slower than the next is about to be, they would all come to a halt.
+    """
     along = wp.max(riders.along[other], 0.0)
     if riders.presence[other] != RIDING:
         return along
-    return wp.min(along, riders.known_speed[other])
+    return wp.min(along, wp.max(riders.known_speed[other], along - FORESEEN))
 
 
 @wp.func

@@ -31,7 +31,7 @@ DEEPEST = wp.constant(0.53)
 FADES = wp.constant(3.0)  # [m]
 NARROWEST = wp.constant(0.45)  # [m]
 WIDENS = wp.constant(0.08)
-DEEPEST_OF_MANY = wp.constant(0.6)
+DEEPEST_OF_MANY = wp.constant(0.5)
 REACH = wp.constant(15.0)  # [m]; wakes longer than this are not reckoned with
 
 

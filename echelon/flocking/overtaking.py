@@ -45,6 +45,7 @@ CLEARLY = wp.constant(0.35)  # by so much another offset must be better
 
 AWAY = wp.constant(0.5)  # cost of each metre from the wanted offset
 ACROSS = wp.constant(0.15)  # cost of each metre from the present one
+TOO_NEAR = wp.constant(2.0)  # cost of each metre that the clearance to somebody beside falls short
 IN_BETWEEN = wp.constant(10.0)  # cost of having somebody in between
 SLOWEST_COUNTED = wp.constant(5.0)  # [m/s]; cost of riding slower, one for each m/s, at most
 PASSING_CLEARANCE = wp.constant(0.25)  # [m] sideways to somebody beside, at least
@@ -68,6 +69,7 @@ def lane_cost(
     cost += obstacle_cost(lane, rider, rules, path, riders, obstacles)
     here = wp.vec2(lane, lane)
     slower = wp.float32(0.0)
+    between = wp.float32(0.0)
     for k in range(seen.found[rider]):
         other = seen.indices[rider, k]
         ahead = seen.ahead[rider, k]
@@ -76,17 +78,18 @@ def lane_cost(
             if is_beside(rider, other, ahead, PASSING_TIME, rules, riders):
                 taken = taken_by(other, riders)
                 room = lane - taken[1] - width
+                room_now = riders.lane[rider] - taken[1] - width
                 if is_left(other, rider, riders):
                     room = taken[0] - lane - width
-                if room < PASSING_CLEARANCE:
-                    cost += IN_BETWEEN
-                else:
-                    cost += 2.0 * wp.max(rules.side_clearance - room, 0.0)
+                    room_now = taken[0] - riders.lane[rider] - width
+                cost += TOO_NEAR * wp.clamp(rules.side_clearance - room, 0.0, rules.side_clearance)
+                if room < wp.min(PASSING_CLEARANCE, room_now - 0.05):
+                    between = wp.float32(IN_BETWEEN)
             if is_before(other, rider, ahead) and apart(here, claimed_by(other, riders)) < width + SIDE_MARGIN:
                 lead = lead_speed(other, riders)
                 fastest = follow_speed(ahead - rules.body_length, lead, riders.along[rider], rules)
                 slower = wp.max(slower, pace - fastest)
-    return cost + wp.min(slower, SLOWEST_COUNTED)
+    return cost + between + wp.min(slower, SLOWEST_COUNTED)
 
 
 @wp.kernel

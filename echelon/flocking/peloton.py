@@ -56,7 +56,17 @@ LONG_AGO = -(2**30)  # the frame in which the first target was chosen
 
 _COPIED = (
     *("distance_gain", "velocity_gain", "grouping_limit", "gathering", "visibility", "sight", "pursuit_distance"),
-    *("pursuit_time", "lookahead", "braking", "eagerness", "slowest", "side_clearance", "gap", "headway"),
+    *(
+        "pursuit_time",
+        "lookahead",
+        "braking",
+        "eagerness",
+        "slowest",
+        "side_clearance",
+        "obstacle_clearance",
+        "gap",
+        "headway",
+    ),
     *("sideways_speed", "body_length", "body_behind", "body_half_width", "wheelbase"),
 )
 _REMEMBERED = ("s", "laps", "heading", "target", "keeping", "chosen", "lane", "lane_rate", "command_speed")

@@ -36,8 +36,8 @@ from echelon.warp_kernels.neighbours import CellTable
 
 wp.set_module_options({"enable_backward": False})
 
-LANE_RATE = wp.constant(1.0)  # [1/s]; of the spring that moves the plan
-LANE_ACCELERATION = wp.constant(0.5)  # [m/s^2], at most
+LANE_RATE = wp.constant(0.9)  # [1/s]; of the spring that moves the plan
+LANE_ACCELERATION = wp.constant(0.4)  # [m/s^2], at most
 SIDEWAYS_PART = wp.constant(0.1)  # of the speed, and as many m/s, is the speed sideways at most
 AIM_SIDEWAYS = wp.constant(1.5)  # [m]; the point steered for is never farther beside the plan than this
 

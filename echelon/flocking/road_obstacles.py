@@ -26,12 +26,15 @@ from echelon.terrain.spline import Centreline, CentrelineData, centreline_grade,
 
 wp.set_module_options({"enable_backward": False})
 
-LEAST_CLEARANCE = wp.constant(0.12)  # [m]; nobody plans to pass nearer than this
+LEAST_CLEARANCE = wp.constant(0.3)  # [m]; nobody plans to pass nearer than this
 NO_LIMIT = wp.constant(1.0e6)  # [m/s]
 SETTLING = wp.constant(1.5)  # [s]; how long it takes to begin and to end a move across the road
 KEEP_SIDE = wp.constant(5.0)  # [s]; an obstacle nearer than this bounds the room to move on its side
-BLOCKED = wp.constant(100.0)  # cost of an offset that an obstacle is in the way of
-NEARNESS = wp.constant(4.0)  # cost of each metre that the clearance falls short
+BLOCKED = wp.constant(25.0)  # cost of an offset that an obstacle is in the way of, at least...
+BLOCKED_NEAR = wp.constant(100.0)  # ... and of one right ahead: what comes after it has time
+HALF_AS_BAD = wp.constant(40.0)  # [m]; half of that for an obstacle so far away
+HURRY = wp.constant(4.0)  # cost of each m/s that one must slow down by to get clear in time
+NEARNESS = wp.constant(6.0)  # cost of each metre that the clearance falls short
 
 
 @wp.struct
@@ -125,10 +128,24 @@ def obstacle_cost(
             middle = 0.5 * (obstacles.low[k] + obstacles.high[k])
             beyond = gap < 0.0 and (lane - middle) * (riders.offset[rider] - middle) < 0.0
             if apart < LEAST_CLEARANCE or beyond:
-                cost += BLOCKED - wp.min(apart, 0.0)
+                cost += BLOCKED + BLOCKED_NEAR * HALF_AS_BAD / (HALF_AS_BAD + wp.max(gap, 0.0)) - wp.min(apart, 0.0)
             else:
-                cost += NEARNESS * wp.max(rules.side_clearance - apart, 0.0)
+                cost += NEARNESS * wp.max(rules.obstacle_clearance - apart, 0.0)
+                now = riders.lane[rider]
+                if obstacle_apart(wp.min(lane, now), wp.max(lane, now), k, rules, obstacles) < LEAST_CLEARANCE:
+                    closing = riders.along[rider] - obstacles.speed[k]
+                    in_time = wp.max(gap, 0.0) / clearing_time(now, lane, k, rules, obstacles)
+                    cost += HURRY * wp.max(closing - in_time, 0.0)
     return cost
+
+
+@wp.func
+def clearing_time(now: float, lane: float, obstacle: int, rules: RoadRules, obstacles: RoadObstacles) -> float:
+    """How long it takes from one offset to be clear of an obstacle on the side of another [s]."""
+    across = now - obstacles.low[obstacle]
+    if lane > 0.5 * (obstacles.low[obstacle] + obstacles.high[obstacle]):
+        across = obstacles.high[obstacle] - now
+    return SETTLING + wp.max(across + rules.body_half_width, 0.0) / rules.sideways_speed
 
 
 @wp.func
@@ -169,11 +186,9 @@ def speed_before_obstacles(
             # Behind a jogger one can ride; toward one who comes the other way there is only so much time.
             fastest = wp.max(moving, 0.0) + wp.min(wp.sqrt(2.0 * rules.braking * room), 0.5 * room)
             if obstacle_apart(target, target, k, rules, obstacles) >= LEAST_CLEARANCE:
-                left = obstacles.high[k] - low
-                right = high - obstacles.low[k]
-                across = wp.where(target > 0.5 * (obstacles.low[k] + obstacles.high[k]), left, right)
-                clearing = SETTLING + (across + rules.body_half_width) / rules.sideways_speed
-                fastest = wp.max(fastest, moving + room / clearing)
+                to_left = clearing_time(low, target, k, rules, obstacles)
+                to_right = clearing_time(high, target, k, rules, obstacles)
+                fastest = wp.max(fastest, moving + room / wp.max(to_left, to_right))
             limit = wp.min(limit, fastest)
     return limit
 

@@ -69,6 +69,7 @@ class RoadRules:
     eagerness: wp.float32
     slowest: wp.float32
     side_clearance: wp.float32
+    obstacle_clearance: wp.float32
     gap: wp.float32
     headway: wp.float32
     sideways_speed: wp.float32

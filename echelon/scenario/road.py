@@ -77,7 +77,8 @@ class PelotonSettings:
         eagerness: A rider never asks for more than the present speed and this [m/s].
         slowest: No rider is ever asked to ride slower: a bicycle would fall [m/s].
         edge_margin: Distance that wheels keep from the road's edge [m].
-        side_clearance: Gap kept to those beside, and to obstacles when passing [m].
+        side_clearance: Gap kept to those beside [m].
+        obstacle_clearance: Gap kept to obstacles when passing, where there is room [m].
         gap: Gap kept to the wheel ahead [m]...
         headway: ... and as much more as one rides in so long [s].
         sideways_speed: Greatest speed of moving across the road [m/s].
@@ -102,7 +103,7 @@ class PelotonSettings:
     velocity_gain: Annotated[float, Within(at_least=0, at_most=1)] = 0.01
     grouping_limit: Annotated[float, Within("m/s", at_least=0, at_most=10)] = 1.5
     gathering: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.2
-    visibility: Annotated[float, Within("m", at_least=5, at_most=1e3)] = 40.0
+    visibility: Annotated[float, Within("m", at_least=5, at_most=1e3)] = 80.0
     neighbours: Annotated[int, Within(at_least=1, at_most=256)] = 16
     sight: Annotated[float, Within("m", at_least=10, at_most=1e3)] = 100.0
     pursuit_distance: Annotated[float, Within("m", at_least=2, at_most=100)] = 8.0
@@ -115,6 +116,7 @@ class PelotonSettings:
     slowest: Annotated[float, Within("m/s", at_least=0, at_most=5)] = 2.0
     edge_margin: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.9
     side_clearance: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.4
+    obstacle_clearance: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.6
     gap: Annotated[float, Within("m", at_least=0.1, at_most=50)] = 0.9
     headway: Annotated[float, Within("s", at_least=0, at_most=5)] = 0.05
     sideways_speed: Annotated[float, Within("m/s", above=0, at_most=5)] = 0.6

@@ -289,6 +289,7 @@ class Scenario:
         path = scenario_path(source)
         data = parse(path)
         data.setdefault("name", "".join(c if c.isascii() and c.isalnum() else "-" for c in path.stem))
+        _find_course(data, path.parent)
         return cls.from_dict(data, source=one_line(source), overrides=overrides)
 
     @classmethod
@@ -321,3 +322,13 @@ class Scenario:
     def to_toml(self) -> str:
         """The whole scenario, defaults included, as the text of a scenario file."""
         return to_toml(self.to_dict())
+
+
+def _find_course(data: dict[str, Any], folder: Path) -> None:
+    """A course that is a file is looked for beside the scenario's, if it is not where the command was called."""
+    world = data.get("world")
+    course = world.get("course") if isinstance(world, dict) else None
+    if isinstance(course, str) and Path(course).suffix in (".toml", ".gpx") and not Path(course).exists():
+        beside = folder / course
+        if isinstance(world, dict) and beside.exists():
+            world["course"] = str(beside)

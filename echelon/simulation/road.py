@@ -63,7 +63,7 @@ class Road:
         )
         outlines = [obstacle_outline(obstacle, self.course.centreline) for obstacle in parked]
         walls = [np.concatenate([corners, np.roll(corners, -1, axis=0)], axis=1) for corners in outlines]
-        self.terrain: Terrain = RoadTerrain.of(self.course, device, np.concatenate([np.zeros((0, 4)), *walls]))
+        self.terrain: Terrain = RoadTerrain.of(self.course.surfaces, device, np.concatenate([np.zeros((0, 4)), *walls]))
         self.world: Mapping[str, Any] = {
             "ground": {"shape": "road"},
             "course": self.course.to_dict(),
@@ -92,7 +92,8 @@ class Road:
         return people, places
 
     def step(self, frame: int, engine: Engine) -> None:
-        self.peloton.step(frame, engine.positions, engine.velocities, engine.command, engine.fallen)
+        commands: Any = engine.command
+        self.peloton.step(frame, engine.positions, engine.velocities, commands, engine.fallen)
         self._down = engine.fallen.numpy() != 0
 
     def keep_actors(self, slot: int, frames: SceneFrames) -> None:
@@ -145,6 +146,7 @@ class Road:
             rider |= {f"mean_{name}": float(values[index]) for name, values in means.items() if name in MEANS}
         up = [rider for rider in riders if not rider["fallen"]] or riders
         return {
+            "in_corral": 0,
             "off_road": sum(rider["off_road"] for rider in riders),
             "struck": sum(rider["struck"] for rider in riders),
             "finished": sum(rider["finish_time"] is not None for rider in riders),

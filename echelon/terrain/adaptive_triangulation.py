@@ -140,5 +140,4 @@ def _fans(lattice: _Lattice, cells: np.ndarray, name: str) -> TriangleMesh:
     normals = np.cross(along_u, along_v)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     mesh = TriangleMesh(name, points, normals, np.stack([u, v], axis=1), triangles.reshape(-1, 3).astype(np.int32))
-    middle = mesh.uv[mesh.triangles].mean(axis=1)
-    return with_bulges(mesh, lattice.surface.point(middle[:, 0], middle[:, 1]))
+    return with_bulges(mesh, lattice.surface)

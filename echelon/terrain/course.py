@@ -129,6 +129,11 @@ class Course:
             raise SettingError("name", f" = {shown(self.name)}: must be letters, digits, dashes and underscores")
         if self.laps > 1 and not self.closed:
             raise SettingError("laps", f" = {self.laps}: must be 1, for the course is not closed")
+        if self.scenery.depth > self.land.margin - 10.0:
+            raise SettingError(
+                "scenery.depth",
+                f" = {self.scenery.depth:g}: must be 10 m or more within land.margin, {self.land.margin:g} m",
+            )
         self._check_points()
         self._check_shape()
         self._check_meetings()

@@ -27,18 +27,21 @@ class Inclines:
 
     Attributes:
         grades: Rise over run along x of each lane; lane i is centred on y = i `LANE_WIDTH`,   shape [lanes], float64
+        walls: Where a wall that faces back along x stands across each lane [m],               shape [lanes], float64
     """
 
     grades: wp.array[wp.float64]
+    walls: wp.array[wp.float64]
 
 
 @wp.func
 def look_up_incline(surface: int, point: wp.vec3d, inclines: Inclines) -> wp.vec4d:
-    """The plane of the lane that a point is in; there are no walls."""
-    if surface != 0:
-        return wp.vec4d(wp.float64(1.0), wp.float64(0.0), wp.float64(0.0), wp.float64(-1.0e6))
+    """The plane of the lane that a point is in, or that of the lane's wall."""
     lane = int(wp.floor(point[1] / wp.float64(LANE_WIDTH) + wp.float64(0.5)))
-    grade = inclines.grades[wp.clamp(lane, 0, inclines.grades.shape[0] - 1)]
+    lane = wp.clamp(lane, 0, inclines.grades.shape[0] - 1)
+    if surface != 0:
+        return wp.vec4d(wp.float64(-1.0), wp.float64(0.0), wp.float64(0.0), -inclines.walls[lane])
+    grade = inclines.grades[lane]
     size = wp.sqrt(wp.float64(1.0) + grade * grade)
     return wp.vec4d(-grade / size, wp.float64(0.0), wp.float64(1.0) / size, wp.float64(0.0))
 
@@ -60,9 +63,16 @@ class InclineTerrain:
     rough: bool = False
 
     @classmethod
-    def of(cls, grades: Sequence[float] | np.ndarray, device: wp.DeviceLike = None) -> InclineTerrain:
-        """Lanes of these grades, rise over run."""
+    def of(
+        cls,
+        grades: Sequence[float] | np.ndarray,
+        walls: Sequence[float] | np.ndarray | None = None,
+        device: wp.DeviceLike = None,
+    ) -> InclineTerrain:
+        """Lanes of these grades, rise over run, and where walls stand across them [m]; none if not given."""
         data = Inclines()
+        places = np.full(len(grades), 1e6) if walls is None else np.asarray(walls, dtype=np.float64)
+        data.walls = wp.array(places, dtype=wp.float64, device=device)
         data.grades = wp.array(np.asarray(grades, dtype=np.float64), dtype=wp.float64, device=device)
         return cls(data)
 

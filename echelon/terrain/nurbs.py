@@ -126,11 +126,11 @@ class NurbsSurface:
     # ---- at points -------------------------------------------------------------------------------------------------
     def point(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Points of the surface [m], shape [..., 3], for parameters of shape [...]."""
-        return self._projected(self._sum(u, v, 0, 0))
+        return self._projected(*self._sums(u, v, (0, 0)))
 
     def derivatives(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(S, dS/du, dS/dv), each of shape [..., 3]."""
-        return self._quotients(*(self._sum(u, v, *orders) for orders in ((0, 0), (1, 0), (0, 1))))
+        return self._quotients(*self._sums(u, v, (0, 0), (1, 0), (0, 1)))
 
     def normal(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Unit vectors dS/du x dS/dv, shape [..., 3]."""
@@ -158,17 +158,22 @@ class NurbsSurface:
             v = np.clip(v + (along_u[:, 0] * gap[:, 1] - along_u[:, 1] * gap[:, 0]) / determinant, *self.range_v)
         return u, v
 
-    def _sum(self, u: np.ndarray, v: np.ndarray, order_u: int, order_v: int) -> np.ndarray:
+    def _sums(self, u: np.ndarray, v: np.ndarray, *orders: tuple[int, int]) -> list[np.ndarray]:
+        """The homogeneous sum, or its first derivatives, for each order of derivatives by u and by v."""
         shape = np.broadcast_shapes(np.shape(u), np.shape(v))
         flat_u, flat_v = (np.broadcast_to(np.asarray(t, dtype=np.float64), shape).ravel() for t in (u, v))
-        first_u, basis_u = basis(self.knots_u, self.degree_u, flat_u, order_u)
-        first_v, basis_v = basis(self.knots_v, self.degree_v, flat_v, order_v)
-        source = self._homogeneous
-        total = np.zeros((len(flat_u), source.shape[-1]))
+        bases_u = {order: basis(self.knots_u, self.degree_u, flat_u, order) for order in {o for o, _ in orders}}
+        bases_v = {order: basis(self.knots_v, self.degree_v, flat_v, order) for order in {o for _, o in orders}}
+        columns = self.control.shape[1]
+        source = self._homogeneous.reshape(self.control.shape[0] * columns, -1)
+        first = bases_u[orders[0][0]][0] * columns + bases_v[orders[0][1]][0]
+        totals = [np.zeros((len(flat_u), source.shape[1])) for _ in orders]
         for i in range(self.degree_u + 1):
             for j in range(self.degree_v + 1):
-                total += (basis_u[:, i] * basis_v[:, j])[:, None] * source[first_u + i, first_v + j]
-        return total.reshape(*shape, source.shape[-1])
+                points = source[first + (i * columns + j)]
+                for (order_u, order_v), total in zip(orders, totals, strict=True):
+                    total += (bases_u[order_u][1][:, i] * bases_v[order_v][1][:, j])[:, None] * points
+        return [total.reshape(*shape, source.shape[1]) for total in totals]
 
     # ---- on grids --------------------------------------------------------------------------------------------------
     def grid(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:

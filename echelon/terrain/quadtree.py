@@ -5,7 +5,7 @@ of the map needs, are one table of square cells; each entry is a node of its own
 
     table, 16 m cells           a node >= 0: the first of its four children, in the order south-west, south-east,
                                 north-west, north-east
-    +-------+---+---+           a node < 0: leaf number -1 - node, a list of triangles
+    +-------+---+---+           a node < 0: a leaf, whose list begins at -1 - node: how many, then which triangles
     |       | . |. .|
     |   .   +---+---+           A query goes to its cell, down to its leaf (two or three steps), and takes the first
     |       | . | . |           triangle of the list that it lies in: what is earlier in the meshes given, the road,
@@ -15,7 +15,9 @@ Heights between the corners of a triangle are smooth (see `triangulation`). Corn
 of the map; a point is taken relative to a corner of its triangle in float64, so that a wheel kilometres away still
 feels steps of a micron and less. What is outside of every triangle is level ground at the height of the nearest.
 
-A leaf that nothing meets lists the triangle nearest to its middle; so every leaf lists at least one.
+A leaf that nothing meets lists the triangle nearest to its middle; so every leaf lists at least one. Leaves, triangles
+and points are numbered along the map, so that what is near one another is so in memory: a query at random mostly waits
+for memory, and so asks for few lines of it.
 """
 
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
@@ -66,18 +68,32 @@ class Placement:
 
 
 @wp.struct
+class GroundPoint:
+    """A corner of triangles.
+
+    Attributes:
+        x, y, z: Relative to the origin [m].
+        slope_x, slope_y: dz/dx and dz/dy.
+    """
+
+    x: wp.float32
+    y: wp.float32
+    z: wp.float32
+    slope_x: wp.float32
+    slope_y: wp.float32
+
+
+@wp.struct
 class GroundTree:
     """The quadtree and its triangles as kernels see them.
 
     Attributes:
-        roots: A node for each cell of the table, row by row,       shape [rows * columns]
-        nodes: Nodes beneath them, four by four,                    shape [nodes]
-        starts: Where the list of each leaf begins in `members`,    shape [leaves + 1]
-        members: Triangles, ascending in each leaf,                 shape [members]
-        placements: Where triangles lie,                            shape [triangles]
-        corners: Points of triangles,                               shape [triangles]
-        places: Of points, relative to the origin [m],              shape [points]
-        shapes: Height relative to the origin [m] and gradient of points, shape [points]
+        roots: A node for each cell of the table, row by row,  shape [rows * columns]
+        nodes: Nodes beneath them, four by four,               shape [nodes]
+        lists: Of each leaf how many triangles and which,      shape [leaves + members]
+        placements: Where triangles lie,                       shape [triangles]
+        corners: Points of triangles,                          shape [triangles]
+        points: Corners,                                       shape [points]
         origin: Middle of the map [m].
         low, high: South-western and north-eastern corners of the map, relative to the origin [m].
         cell: Side of a cell of the table [m].
@@ -86,12 +102,10 @@ class GroundTree:
 
     roots: wp.array[wp.int32]
     nodes: wp.array[wp.int32]
-    starts: wp.array[wp.int32]
-    members: wp.array[wp.int32]
+    lists: wp.array[wp.int32]
     placements: wp.array[Placement]
     corners: wp.array[wp.vec3i]
-    places: wp.array[wp.vec2]
-    shapes: wp.array[wp.vec3]
+    points: wp.array[GroundPoint]
     origin: wp.vec3d
     low: wp.vec2
     high: wp.vec2
@@ -103,7 +117,7 @@ class GroundTree:
 # ---- asking ----------------------------------------------------------------------------------------------------------
 @wp.func
 def ground_leaf(ground: GroundTree, x: float, y: float) -> int:
-    """The leaf of a point of the map, given relative to the origin [m]."""
+    """Where the list begins of the leaf of a point of the map, given relative to the origin [m]."""
     across = (x - ground.low[0]) / ground.cell
     up = (y - ground.low[1]) / ground.cell
     column = wp.clamp(int(across), 0, ground.columns - 1)
@@ -138,25 +152,26 @@ def ground_weights(placement: Placement, x: wp.float64, y: wp.float64) -> wp.vec
 def ground_shape(ground: GroundTree, triangle: int, weights: wp.vec3) -> wp.vec3:
     """Height relative to the origin [m] and gradient at barycentric weights, as `smooth_height` has them."""
     corner = ground.corners[triangle]
-    place_a, place_b, place_c = ground.places[corner[0]], ground.places[corner[1]], ground.places[corner[2]]
-    a, b, c = ground.shapes[corner[0]], ground.shapes[corner[1]], ground.shapes[corner[2]]
-    ab, bc, ca = place_b - place_a, place_c - place_b, place_a - place_c
+    a, b, c = ground.points[corner[0]], ground.points[corner[1]], ground.points[corner[2]]
+    ab, bc, ca = wp.vec2(b.x - a.x, b.y - a.y), wp.vec2(c.x - b.x, c.y - b.y), wp.vec2(a.x - c.x, a.y - c.y)
     # Bezier coefficients relative to the first corner's height, so that nothing is lost on a mountain.
-    height_b, height_c = b[0] - a[0], c[0] - a[0]
+    height_b, height_c = b.z - a.z, c.z - a.z
     third = 1.0 / 3.0
-    aab = third * (a[1] * ab[0] + a[2] * ab[1])
-    aac = -third * (a[1] * ca[0] + a[2] * ca[1])
-    bba = height_b - third * (b[1] * ab[0] + b[2] * ab[1])
-    bbc = height_b + third * (b[1] * bc[0] + b[2] * bc[1])
-    cca = height_c + third * (c[1] * ca[0] + c[2] * ca[1])
-    ccb = height_c - third * (c[1] * bc[0] + c[2] * bc[1])
+    aab = third * (a.slope_x * ab[0] + a.slope_y * ab[1])
+    aac = -third * (a.slope_x * ca[0] + a.slope_y * ca[1])
+    bba = height_b - third * (b.slope_x * ab[0] + b.slope_y * ab[1])
+    bbc = height_b + third * (b.slope_x * bc[0] + b.slope_y * bc[1])
+    cca = height_c + third * (c.slope_x * ca[0] + c.slope_y * ca[1])
+    ccb = height_c - third * (c.slope_x * bc[0] + c.slope_y * bc[1])
     abc = 0.25 * (aab + aac + bba + bbc + cca + ccb) - (height_b + height_c) / 6.0
     abc += ground.placements[triangle].bulge
 
     u, v, w = weights[0], weights[1], weights[2]
     rise = v * v * v * height_b + w * w * w * height_c + 6.0 * u * v * w * abc
     rise += 3.0 * (u * u * (v * aab + w * aac) + v * v * (u * bba + w * bbc) + w * w * (u * cca + v * ccb))
-    return wp.vec3(a[0] + rise, u * a[1] + v * b[1] + w * c[1], u * a[2] + v * b[2] + w * c[2])
+    slope_x = u * a.slope_x + v * b.slope_x + w * c.slope_x
+    slope_y = u * a.slope_y + v * b.slope_y + w * c.slope_y
+    return wp.vec3(a.z + rise, slope_x, slope_y)
 
 
 @wp.func
@@ -169,13 +184,13 @@ def ground_below(ground: GroundTree, point: wp.vec3d) -> wp.vec3:
     held_y = wp.clamp(y, wp.float64(ground.low[1]), wp.float64(ground.high[1]))
     leaf = ground_leaf(ground, wp.float32(held_x), wp.float32(held_y))
 
-    place = ground.starts[leaf]
-    end = ground.starts[leaf + 1]
+    place = leaf + 1
+    end = place + ground.lists[leaf]
     nearest = float(_OUTSIDE)
-    triangle = ground.members[place]
+    triangle = ground.lists[place]
     weights = wp.vec3(1.0, 0.0, 0.0)
     while place < end:
-        candidate = ground.members[place]
+        candidate = ground.lists[place]
         found = ground_weights(ground.placements[candidate], held_x, held_y)
         least = wp.min(found[0], wp.min(found[1], found[2]))
         if least > nearest:
@@ -218,11 +233,11 @@ class Quadtree:
         low, high: Corners of the map, relative to the origin [m], shape [2].
         cell: Side of a cell of the table [m].
         columns, rows: Cells of the table.
-        roots, nodes, starts, members: The tree.
+        roots, nodes, lists: The tree.
+        placements: Of triangles, structured as `Placement`, shape [triangles].
         corners: Points of triangles, shape [triangles, 3].
-        bulges: Of triangles [m], shape [triangles].
-        places: Of points, relative to the origin [m], float32, shape [points, 2].
-        shapes: Heights [m] and gradients of points, float32, shape [points, 3].
+        points: Structured as `GroundPoint`, shape [points].
+        given: Number of each triangle in the order of the meshes, shape [triangles].
     """
 
     origin: np.ndarray
@@ -233,12 +248,11 @@ class Quadtree:
     rows: int
     roots: np.ndarray
     nodes: np.ndarray
-    starts: np.ndarray
-    members: np.ndarray
+    lists: np.ndarray
+    placements: np.ndarray
     corners: np.ndarray
-    bulges: np.ndarray
-    places: np.ndarray
-    shapes: np.ndarray
+    points: np.ndarray
+    given: np.ndarray
 
     @classmethod
     def over(cls, meshes: Sequence[TriangleMesh]) -> Quadtree:
@@ -263,10 +277,27 @@ class Quadtree:
         cell = max(TABLE_CELL, math.sqrt(float(extent.prod()) / TABLE_LIMIT))
         columns, rows = (max(1, math.ceil(float(length) / cell)) for length in extent)
         triangles = places[corners].astype(np.float64) - low
-        roots, nodes, starts, members = _tree(triangles, cell, columns, rows)
-        shapes = np.column_stack([points[:, 2] - origin[2], gradients]).astype(np.float32)
-        numbers = (corners.astype(np.int32), bulges, places, shapes)
-        return cls(origin, low, high, cell, columns, rows, roots, nodes, starts, members, *numbers)
+        roots, nodes, counts, members = _tree(triangles, cell, columns, rows)
+        # Triangles, and then points, in the order in which leaves first name them. Every triangle is in some leaf.
+        given, members = _by_first_use(members)
+        used, corners = _by_first_use(corners[given].ravel())
+        corners = corners.reshape(-1, 3)
+        structured = np.zeros(len(used), dtype=GroundPoint.numpy_dtype())
+        heights = points[:, 2] - origin[2]
+        values = (places[:, 0], places[:, 1], heights, gradients[:, 0], gradients[:, 1])
+        for name, value in zip(("x", "y", "z", "slope_x", "slope_y"), values, strict=True):
+            structured[name] = value[used]
+        placements = _placements(places[used], corners, bulges[given])
+        lists = np.empty(len(counts) + len(members), dtype=np.int32)
+        heads = np.cumsum(counts + 1) - counts - 1
+        lists[heads] = counts
+        lists[np.delete(np.arange(len(lists)), heads)] = members
+        roots, nodes = (
+            np.where(part < 0, -1 - heads[np.minimum(-1 - part, len(heads) - 1)], part).astype(np.int32)
+            for part in (roots, nodes)
+        )
+        tree = (roots, nodes, lists, placements, corners.astype(np.int32), structured, given)
+        return cls(origin, low, high, cell, columns, rows, *tree)
 
     def data(self, device: wp.DeviceLike = None) -> GroundTree:
         """The quadtree on a device."""
@@ -276,15 +307,22 @@ class Quadtree:
 
         ground = GroundTree()
         ground.roots, ground.nodes = copied(self.roots, wp.int32), copied(self.nodes, wp.int32)
-        ground.starts, ground.members = copied(self.starts, wp.int32), copied(self.members, wp.int32)
-        ground.placements = copied(_placements(self.places, self.corners, self.bulges), Placement)
+        ground.lists = copied(self.lists, wp.int32)
+        ground.placements = copied(self.placements, Placement)
         ground.corners = copied(self.corners, wp.vec3i)
-        ground.places, ground.shapes = copied(self.places, wp.vec2), copied(self.shapes, wp.vec3)
+        ground.points = copied(self.points, GroundPoint)
         ground.origin = wp.vec3d(*self.origin.tolist())
         ground.low, ground.high = wp.vec2(*self.low.tolist()), wp.vec2(*self.high.tolist())
         ground.cell = self.cell
         ground.columns, ground.rows = self.columns, self.rows
         return ground
+
+
+def _by_first_use(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(numbers in the order of their first use, the same sequence in terms of places in that order)."""
+    known, first, place = np.unique(numbers, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return known[order], np.argsort(order)[place]
 
 
 def _placements(places: np.ndarray, corners: np.ndarray, bulges: np.ndarray) -> np.ndarray:
@@ -303,7 +341,9 @@ def _placements(places: np.ndarray, corners: np.ndarray, bulges: np.ndarray) -> 
 def _tree(
     triangles: np.ndarray, cell: float, columns: int, rows: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(roots, nodes, starts, members) of triangles given relative to the table's corner, shape [triangles, 3, 2].
+    """(roots, nodes, counts, members) of triangles given relative to the table's corner, shape [triangles, 3, 2].
+
+    A node < 0 is leaf number -1 - node; `counts` says how many of `members` belong to each leaf.
 
     Level by level: `of` and `which` are pairs of a square and a triangle that meet, sorted by both; a square is known
     by its middle (x, y).
@@ -335,7 +375,7 @@ def _tree(
         # Sorted by square; within one the triangles are in order already.
         met = met[np.argsort(of[met], kind="stable")]
         of, which = of[met], which[met]
-    return _joined(levels, leaves, middles, triangles)
+    return _joined(levels, leaves, middles, triangles, cell)
 
 
 def _joined(
@@ -343,31 +383,43 @@ def _joined(
     leaves: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
     middles: list[np.ndarray],
     triangles: np.ndarray,
+    cell: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Levels of squares as one array of nodes, and their leaves as lists."""
+    """Levels of squares as one array of nodes, and their leaves as lists, along the map."""
     tree = KDTree(triangles.mean(axis=1))
+    leaf_counts = [len(squares) for squares, _, _ in leaves]
+    first_leaf = np.cumsum([0, *leaf_counts])
     first_node = np.cumsum([0, *(len(level) for level in levels[1:])])  # the table's squares are no nodes
-    lists: list[np.ndarray] = []
-    counts: list[np.ndarray] = []
+    number = np.empty(first_leaf[-1], dtype=np.int64)
+    number[np.argsort(_along_the_map(np.concatenate(middles), cell), kind="stable")] = np.arange(len(number))
+
+    owners: list[np.ndarray] = []
+    members: list[np.ndarray] = []
     coded: list[np.ndarray] = []
-    leaf_count = 0
     for depth, (level, (squares, of, which), middle) in enumerate(zip(levels, leaves, middles, strict=True)):
-        number = np.searchsorted(squares, of)
-        count = np.bincount(number, minlength=len(squares))
-        empty = np.flatnonzero(count == 0)
+        numbers = number[first_leaf[depth] : first_leaf[depth + 1]]
+        place = np.searchsorted(squares, of)
+        empty = np.flatnonzero(np.bincount(place, minlength=len(squares)) == 0)
         nearest = np.asarray(tree.query(middle[empty])[1], dtype=np.int64)
-        owners, members = np.concatenate([number, empty]), np.concatenate([which, nearest])
-        lists.append(members[np.argsort(owners, kind="stable")])
-        counts.append(np.maximum(count, 1))
+        owners += [numbers[place], numbers[empty]]
+        members += [which, nearest]
         codes = first_node[depth] + 4 * (level - 1)
-        codes[squares] = -1 - (leaf_count + np.arange(len(squares)))
+        codes[squares] = -1 - numbers
         coded.append(codes)
-        leaf_count += len(squares)
-    starts = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
+    owner, member = np.concatenate(owners), np.concatenate(members)
     nodes = np.concatenate([*coded[1:], np.zeros(0, dtype=np.int64)])
-    parts = (coded[0], nodes, starts, np.concatenate(lists))
-    roots, nodes, starts, members = (part.astype(np.int32) for part in parts)
-    return roots, nodes, starts, members
+    return coded[0], nodes, np.bincount(owner), member[np.argsort(owner, kind="stable")]
+
+
+def _along_the_map(places: np.ndarray, cell: float) -> np.ndarray:
+    """Keys that sort places by cells of the table and, within one, along Morton's curve."""
+    steps = np.floor(places * (2**DEEPEST / cell)).astype(np.int64)
+    x, y = steps[:, 0] % 2**DEEPEST, steps[:, 1] % 2**DEEPEST
+    curve = np.zeros(len(places), dtype=np.int64)
+    for bit in range(DEEPEST):
+        curve |= ((x >> bit & 1) << (2 * bit)) | ((y >> bit & 1) << (2 * bit + 1))
+    column, row = steps[:, 0] >> DEEPEST, steps[:, 1] >> DEEPEST
+    return ((row * (column.max() + 1) + column) << (2 * DEEPEST)) + curve
 
 
 def _table_pairs(triangles: np.ndarray, cell: float, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:

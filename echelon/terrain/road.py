@@ -34,16 +34,21 @@ from echelon.terrain.walls import SURFACE_WALL, WallGrid, grid_of_walls, wall_pl
 
 wp.set_module_options({"enable_backward": False})
 
-GROUND_TOLERANCE = 0.002
-"""How far the triangles that wheels feel may be off the surfaces [m]."""
+ROAD_TOLERANCE = 0.002
+"""How far the triangles that wheels feel may be off the road's surface [m]."""
+
+LAND_TOLERANCE = 0.005
+"""How far they may be off the land's [m]."""
 
 LAND_SPACING = 10.0  # [m] between the heights that the land goes through, at least
 LAND_HEIGHTS = 60_000  # of them, at most: a large land gets fewer a hectare
 WALL_REACH = 2.0  # [m]; walls nearer than this to a body are found
 
 _LEVEL_STEP = 1.5  # [m] across asphalt and verge, at most
-_SHOULDER_STEPS = 5
+_CLOSE_LEVEL_STEP = 0.75  # [m], of a road that meets itself: another stretch may end upon it
+_SHOULDER_STEPS = 6
 _ROAD_CELL = 8.0  # [m] along the road, of triangles to begin with
+_OUTLINE = 0.1  # [m] from the strip's limit to the edges of its outer triangles
 _LAND_CELL = 4.0  # spacings of the land's heights, of triangles to begin with
 
 
@@ -124,7 +129,8 @@ class RoadSurfaces:
     def _columns(self) -> tuple[np.ndarray, tuple[float, float]]:
         """Parameters u of the columns, and those at which the level part begins and ends."""
         strip = self.strip
-        steps = 2 * max(2, int(np.ceil(strip.level / _LEVEL_STEP)))
+        step = _CLOSE_LEVEL_STEP if strip.meets_itself else _LEVEL_STEP
+        steps = 2 * max(2, int(np.ceil(strip.level / step)))
         level = np.linspace(strip.level, -strip.level, steps + 1)
         shoulder = np.linspace(strip.limit, strip.level, _SHOULDER_STEPS + 1)[:-1]
         offsets = np.concatenate([shoulder, level, -shoulder[::-1]])
@@ -205,12 +211,12 @@ class RoadSurfaces:
     # ---- as triangles ------------------------------------------------------------------------------------------------
     @cached_property
     def quadtree(self) -> Quadtree:
-        """What wheels feel: both surfaces within `GROUND_TOLERANCE`, the road with the right of way."""
+        """What wheels feel: both surfaces within their tolerances, the road with the right of way."""
         first, last = self._columns[1]
         u = np.array([0.0, 0.5 * first, first, 0.5, last, 0.5 + 0.5 * last, 1.0])
         cells = max(4, int(np.ceil((self.strip.end - self.strip.start) / _ROAD_CELL)))
         v = np.linspace(self.strip.start, self.strip.end, cells + 1)
-        road = triangulate(self.road, GROUND_TOLERANCE, smooth=True, name="road", u=u, v=v)
+        road = triangulate(self.road, ROAD_TOLERANCE, smooth=True, outline=_OUTLINE, name="road", u=u, v=v)
         x, y = (
             np.linspace(low, high, max(1, round((high - low) / (_LAND_CELL * spacing))) + 1)
             for (low, high), spacing in (
@@ -218,7 +224,7 @@ class RoadSurfaces:
                 (self.land.range_v, self.land.knots_v[5] - self.land.knots_v[4]),
             )
         )
-        return Quadtree.over([road, triangulate_adaptively(self.land, GROUND_TOLERANCE, x, y, "land")])
+        return Quadtree.over([road, triangulate_adaptively(self.land, LAND_TOLERANCE, x, y, "land")])
 
     def display(self, tolerance: float = 0.05, land_tolerance: float = 0.5) -> tuple[TriangleMesh, ...]:
         """Flat triangles to be drawn: "road", "verge" and "land", which meet and do not overlap.

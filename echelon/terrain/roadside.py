@@ -92,7 +92,7 @@ def _in_line(site: _Site, spacing: float, both_sides: bool) -> tuple[np.ndarray,
     count = int(site.length / spacing) if spacing else 0
     s = (np.arange(count) + (0.5 if both_sides else 0.3)) * (site.length / max(count, 1))
     side = np.where(np.arange(count) % 2 == 0, 1.0, -1.0) if both_sides else -np.ones(count)
-    return s, side * (site.edge + ROOM + 0.25), np.ones((count, 3)), site.uniform(1, count)[0]
+    return s, side * (site.edge + ROOM + 0.25), np.ones((count, 3)), site.uniform(1, 1, count)[0]
 
 
 def _houses(site: _Site, spacing: float) -> tuple[np.ndarray, ...]:
@@ -120,7 +120,7 @@ def _trees(site: _Site, spacing: float, depth: float) -> tuple[np.ndarray, ...]:
     offset = nearest + np.where(in_row, 1.0, 3.0 + (depth - 3.0) * back**1.5)
     # Where it is green a few more stand behind, where it is built up a few less.
     chosen = in_row | (site.built_up(s) < 0.25 + back)
-    side = np.where(site.uniform(4, count)[0] < 0.5, 1.0, -1.0)
+    side = np.where(site.uniform(4, 1, count)[0] < 0.5, 1.0, -1.0)
     scales = np.stack([scale, scale, scale * (0.85 + 0.3 * color)], axis=1)
     return s[chosen], (side * offset)[chosen], scales[chosen], (7.0 * color[chosen]) % 1.0
 
@@ -135,7 +135,7 @@ class _Site:
         self._places = np.empty((0, 2))
         self._reaches = np.empty(0)
         knots = max(4, round(self.length / _QUARTER))
-        self._quarters = self.uniform(0, knots)[0]
+        self._quarters = self.uniform(0, 1, knots)[0]
         points = [
             points[0] + np.linspace(0.0, 1.0, max(2, int(np.hypot(*(points[1] - points[0])) / 0.5)))[:, None]
             * (points[1] - points[0])
@@ -144,13 +144,11 @@ class _Site:
         ]  # fmt: skip
         self._side_streets = KDTree(np.vstack(points)) if points else None
 
-    def uniform(self, stream: int, *shape: int) -> np.ndarray:
-        """Numbers 0..1 of a stream, from a counter; rows even if one row is asked for, shape [rows, n]."""
-        count = int(np.prod(shape))
-        bits = np.random.Philox(key=self._course.seed + (stream << 64)).random_raw(count)
-        numbers = (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
-        # A row for each number of one object would change all others with the count: objects are columns.
-        return numbers.reshape(shape[-1], -1).T
+    def uniform(self, stream: int, rows: int, count: int) -> np.ndarray:
+        """Numbers 0..1 from a counter: so many for each of so many objects, shape [rows, count]."""
+        bits = np.random.Philox(key=self._course.seed + (stream << 64)).random_raw(rows * count)
+        # One object's after the other's: those of the first do not depend on how many there are.
+        return ((bits >> np.uint64(11)).astype(np.float64) * 2.0**-53).reshape(count, rows).T
 
     def built_up(self, s: np.ndarray) -> np.ndarray:
         """How built up the road is, 0..1, shape [...]."""

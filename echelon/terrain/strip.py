@@ -39,9 +39,11 @@ FULL_BANK_RADIUS = 25.0  # [m]: bends as tight as this have all the banking ther
 BANK_EASE = 8.0  # [m], standard deviation of the smoothing that rolls banking in and out
 
 SECTION_SPACING = 2.0  # [m] between sections of the surface, at most
-CLOSE_SPACING = 1.0  # [m], where stretches meet
+CLOSE_SPACING = 0.5  # [m], where stretches meet
 CLOSEST_SPACING = 0.4  # [m], in the tightest bends
 BEND_PART = 0.12  # of the radius of a bend between its sections
+
+ROUNDABOUT = 1.05  # times the straight way, from which the way along the road may lead to another stretch
 
 _TABLE_STEP = 1.0  # [m]
 _NEARNESS = 1.0  # [m]: stretches nearer than this count for no more
@@ -133,7 +135,7 @@ class RoadStrip:
         pairs = self._tree.query_pairs(2.0 * self.limit + 2.0 * self._step, output_type="ndarray")
         first, second = pairs.T
         apart = np.abs(self.centreline.difference(self._table_s[first], self._table_s[second]))
-        other = apart > 1.3 * np.linalg.norm(flat[first] - flat[second], axis=1) + 2.0
+        other = apart > ROUNDABOUT * np.linalg.norm(flat[first] - flat[second], axis=1) + _TABLE_STEP
         meeting = np.zeros(len(self._table_s), dtype=bool)
         meeting[first[other]] = True
         meeting[second[other]] = True
@@ -162,6 +164,11 @@ class RoadStrip:
     def meets(self, s: np.ndarray) -> np.ndarray:
         """Whether another stretch may come so near that strips overlap, shape [...]."""
         return self._at(s, self._meeting.astype(np.float64)) > 0.0
+
+    @property
+    def meets_itself(self) -> bool:
+        """Whether strips may overlap anywhere."""
+        return bool(self._meeting.any())
 
     def height(self, s: np.ndarray, offset: np.ndarray) -> np.ndarray:
         """Of the road itself [m], shape [...]."""
@@ -209,8 +216,11 @@ class RoadStrip:
         s, offset = self.centreline.closest(xy[place], near=guess)
         left, right = self.limits(s)
         inside = (offset < left) & (-offset < right) & (s >= self.start) & (s <= self.end)
-        order = np.lexsort((s[inside], place[inside]))
-        return Feet(place[inside][order], s[inside][order], offset[inside][order])
+        order = np.flatnonzero(inside)[np.lexsort((s[inside], place[inside]))]
+        place, s, offset = place[order], s[order], offset[order]
+        # In the tightest bends two samples may lead to one foot.
+        again = (np.diff(place, prepend=-1) == 0) & (np.diff(s, prepend=-np.inf) < 0.1)
+        return Feet(place[~again], s[~again], offset[~again])
 
     def blended(self, xy: np.ndarray, land: np.ndarray, feet: Feet) -> np.ndarray:
         """Heights of the ground [m], shape [n].
@@ -221,7 +231,7 @@ class RoadStrip:
             feet: Of the places.
         """
         share = self.share(feet.s, feet.offset)
-        weight = (share / (_NEARNESS**2 + feet.offset**2)) ** 2
+        weight = share / (_NEARNESS**2 + feet.offset**2)
         total = np.bincount(feet.place, weight, len(xy))
         road = np.bincount(feet.place, weight * self.height(feet.s, feet.offset), len(xy))
         rest = np.ones(len(xy))

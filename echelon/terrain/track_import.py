@@ -195,7 +195,7 @@ def import_track(
             points=tuple((x, y, z) for x, y, z in road.points.tolist()),
         )
     except SettingError as error:
-        raise InputError(f"{where}: the course made of it: {error}") from None
+        raise InputError(f"{where}: the course made of it: {error} (smoothed within {smooth:g} m)") from None
     return Imported(course, _report(cleaned, road, course, smooth))
 
 

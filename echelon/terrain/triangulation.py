@@ -58,6 +58,7 @@ def triangulate(
     tolerance: float,
     *,
     smooth: bool = False,
+    outline: float = np.inf,
     name: str = "surface",
     u: np.ndarray | None = None,
     v: np.ndarray | None = None,
@@ -68,6 +69,7 @@ def triangulate(
         surface: A height field with u x v upwards.
         tolerance: Greatest error of the height [m]; of a flat triangulation, of the distance in space.
         smooth: Whether heights between corners are the smooth ones rather than those of flat triangles.
+        outline: Greatest distance on the map between an edge and the line of the surface that it stands for [m].
         name: Of the mesh.
         u, v: Lines to begin with; the surface's knots where left out.
 
@@ -79,7 +81,7 @@ def triangulate(
     lines_u = _knot_lines(surface.knots_u, surface.degree_u) if u is None else np.asarray(u, dtype=np.float64)
     lines_v = _knot_lines(surface.knots_v, surface.degree_v) if v is None else np.asarray(v, dtype=np.float64)
     for _ in range(MOST_ROUNDS):
-        along_u, along_v = cell_errors(surface, lines_u, lines_v, smooth=smooth)
+        along_u, along_v = cell_errors(surface, lines_u, lines_v, smooth=smooth, share=tolerance / outline)
         halve_u = np.flatnonzero(along_u.max(axis=1) > SAFETY * tolerance)
         halve_v = np.flatnonzero(along_v.max(axis=0) > SAFETY * tolerance)
         if len(halve_u) + len(halve_v) == 0:
@@ -104,29 +106,39 @@ def mesh_of_lines(
     mesh = TriangleMesh(name, points.reshape(-1, 3), normals.reshape(-1, 3), uv.reshape(-1, 2), triangles)
     if not smooth:
         return mesh
-    thirds_u, thirds_v = np.diff(u) / 3.0, np.diff(v) / 3.0
-    middles = [surface.grid(u[:-1] + k * thirds_u, v[:-1] + (3 - k) * thirds_v).reshape(-1, 3) for k in (2, 1)]
-    return with_bulges(mesh, np.stack(middles, axis=1).reshape(-1, 3))
+    return with_bulges(mesh, surface)
 
 
-def with_bulges(mesh: TriangleMesh, middles: np.ndarray) -> TriangleMesh:
-    """The mesh with bulges such that smooth heights pass through a point in the middle of each triangle.
+def with_bulges(mesh: TriangleMesh, surface: NurbsSurface) -> TriangleMesh:
+    """The mesh with bulges such that smooth heights pass through the surface in the middle of each triangle.
 
     Args:
-        mesh: Without bulges.
-        middles: Points of the surface about the middle of each triangle [m], shape [triangles, 3].
+        mesh: Of the surface, without bulges.
+        surface: A height field.
     """
     corners = mesh.points[mesh.triangles]
+    u, v = mesh.uv[mesh.triangles].mean(axis=1).T
+    middles = surface.point(u, v)
     weights = barycentric_weights(corners[..., :2], middles[:, :2])
+    # In a bend the middle of the parameters may lie near an edge on the map, and say little about the middle.
+    astray = np.flatnonzero(weights.min(axis=1) < 0.25)
+    if len(astray):
+        middle = corners[astray, :, :2].mean(axis=1)
+        middles[astray] = surface.point(*surface.parameters_at(middle, u[astray], v[astray], rounds=3))
+        weights[astray] = barycentric_weights(corners[astray, :, :2], middles[astray, :2])
     heights, _ = smooth_height(corners, mesh.gradients[mesh.triangles], weights)
-    return replace(mesh, bulges=(middles[:, 2] - heights) / (6.0 * weights.prod(axis=-1)))
+    inside = weights.min(axis=1) > 0.1  # not so at the rim, where the middle may be off the surface
+    bulges = (middles[:, 2] - heights) / np.where(inside, 6.0 * weights.prod(axis=-1), 1.0)
+    return replace(mesh, bulges=np.where(inside, bulges, 0.0))
 
 
-def cell_errors(surface: NurbsSurface, u: np.ndarray, v: np.ndarray, *, smooth: bool) -> tuple[np.ndarray, np.ndarray]:
+def cell_errors(
+    surface: NurbsSurface, u: np.ndarray, v: np.ndarray, *, smooth: bool, share: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """How far the triangles between lines are off the surface, by direction.
 
     Looked at are the middles of the cells' edges, and the middles of the cells, whose error is laid to the direction
-    with the greater one.
+    with the greater one. `share` of the distance on the map between an edge and its line counts as an error, too.
 
     Returns:
         (along u, along v) [m], each of shape [len(u) - 1, len(v) - 1].
@@ -142,7 +154,8 @@ def cell_errors(surface: NurbsSurface, u: np.ndarray, v: np.ndarray, *, smooth: 
         a, m, b = points[start], points[middle], points[end]
         if gradients is None:
             return np.linalg.norm(m - 0.5 * (a + b), axis=-1)
-        return np.abs(_edge_height(a, b, gradients[start], gradients[end], m) - m[..., 2])
+        height = np.abs(_edge_height(a, b, gradients[start], gradients[end], m) - m[..., 2])
+        return np.maximum(height, share * np.linalg.norm((m - 0.5 * (a + b))[..., :2], axis=-1))
 
     even, odd = slice(None, None, 2), slice(1, None, 2)
     low, high = slice(None, -1, 2), slice(2, None, 2)

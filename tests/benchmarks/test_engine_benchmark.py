@@ -14,8 +14,9 @@ from rich.console import Console
 
 from echelon.agents.hopper import HIP_SPEED, Hopper
 from echelon.benchmarks import engine
-from echelon.benchmarks.engine import engine_row, print_table, run_engine_benchmark
+from echelon.benchmarks.engine import engine_row, ladders_of, print_table, run_engine_benchmark
 from echelon.benchmarks.engine_report import page, read_csv, write_csv, write_page
+from echelon.benchmarks.engine_runs import character_of, stride_of
 from echelon.errors import InputError
 from echelon.warp_kernels.character import View
 from echelon.warp_kernels.contact import JointForces
@@ -79,6 +80,18 @@ def test_a_quick_run_states_everything():
     assert row["ratio"] > 5.0
 
 
+def test_the_cyclist_is_timed_on_a_road_beside_a_rider_of_mujocos():
+    pytest.importorskip("mujoco")
+    (row,) = run_engine_benchmark(bodies=("cyclist",), quick=True)
+    assert set(row) >= KEYS
+    assert row["sane"], row["why"]
+    assert row["peer_sane"], row["peer_why"]
+    assert row["peer_contacts"] == 2
+    assert row["step_seconds"] == row["peer_step_seconds"] == pytest.approx(1.0 / 1200.0)
+    assert "rolling unsteered" in row["actions"]
+    assert row["ratio"] > 5.0
+
+
 def test_rows_are_plain_data():
     rows = list(quick_rows())
     again = json.loads(json.dumps(rows, allow_nan=False))
@@ -124,6 +137,18 @@ def test_without_mujoco_there_are_our_rates_alone(monkeypatch: pytest.MonkeyPatc
     lines = [line for line in printed([row]).splitlines() if "echelon[bench]" in line]
     assert len(lines) == 1
     assert lines[0].startswith("MuJoCo is not installed")
+
+
+def test_steps_of_a_ladder_grow_and_keep_the_control_ticks():
+    for body in ("hopper", "cyclist", "male"):
+        character = character_of(body)
+        ours, theirs = ladders_of(character)
+        assert ours[0] == stride_of(character)
+        assert [stride.step for stride in ours] == sorted(stride.step for stride in ours)
+        assert list(theirs) == sorted(set(theirs))
+        if body != "male":
+            assert [stride.tick * stride.step for stride in ours] == pytest.approx([1.0 / 120.0] * len(ours))
+            assert max(theirs) <= 1.0 / 120.0
 
 
 def test_an_unknown_body_is_bad_input():

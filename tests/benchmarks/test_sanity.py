@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 from echelon.agents.bodies import load_body
+from echelon.agents.cyclist import Cyclist
 from echelon.benchmarks.engine_runs import flight_states
-from echelon.benchmarks.sanity import judge_flight, judge_hopping, judge_standing
+from echelon.benchmarks.sanity import (
+    judge_flight,
+    judge_hopping,
+    judge_riding,
+    judge_rolling,
+    judge_standing,
+    lean_of,
+    spring_gaps,
+)
 from echelon.warp_kernels.reference import Body
 
 AGENTS = 4
@@ -102,3 +111,79 @@ def test_a_body_that_stands_falls_or_gains_energy():
     rising = q.copy()
     rising[-1, 2] += 0.05
     assert "energy rises" in judge_standing(body, rising, u, no_springs, 1.0).why
+
+
+# ---- riders ----------------------------------------------------------------------------------------------------------
+def riders(count: int) -> tuple[Body, np.ndarray, np.ndarray]:
+    """Riders at 6 m/s, upright, hands and feet on."""
+    cyclist, each = Cyclist(), np.ones(count)
+    return cyclist.body, *cyclist.riding(0.0 * each, 6.0 * each, 0.0 * each, 0.3 * each, 2.0 * each)
+
+
+@pytest.mark.parametrize(
+    ("error", "lean", "gap", "reason"),
+    [
+        (0.2, 0.02, 0.004, ""),
+        (0.4, 0.02, 0.004, "0.40 m/s"),
+        (0.2, 0.10, 0.004, "leans by 5.7 degrees"),
+        (0.2, 0.02, 0.012, "12.0 mm"),
+        (0.2, 0.02, np.nan, "from where it belongs"),
+    ],
+)
+def test_riders_are_judged_by_the_worst_of_them(error: float, lean: float, gap: float, reason: str):
+    body, q, u = riders(AGENTS)
+    found = np.zeros((3, AGENTS))
+    found[:, 2] = error, lean, gap
+    verdict = judge_riding(body, q, u, nobody(), nobody(), *found)
+    assert verdict.sane == (not reason)
+    assert reason in verdict.why
+
+
+def test_a_rider_who_fell_or_was_lost():
+    body, q, u = riders(AGENTS)
+    one = nobody()
+    one[1] = True
+    well = np.zeros((3, AGENTS))
+    assert "1 of 4 riders fell" in judge_riding(body, q, u, one, nobody(), *well).why
+    assert "finite" in judge_riding(body, q, u, nobody(), one, *well).why
+    assert not judge_riding(body, q, np.where(one[:, None], np.inf, u), nobody(), nobody(), *well).sane
+
+
+def test_a_rider_who_rolls_slides_tips_or_gains_energy():
+    body, q, u = riders(20)
+    none = np.zeros(20)
+    assert judge_rolling(body, q, u, none, 1.0, 0.004, 0.05).sane
+    assert "both wheels" in judge_rolling(body, q, u, none, 0.9, 0.004, 0.05).why
+    assert "slips" in judge_rolling(body, q, u, none, 1.0, 0.004, 0.2).why
+    assert "12.0 mm" in judge_rolling(body, q, u, none, 1.0, 0.012, 0.05).why
+    faster = u.copy()
+    faster[10, 0] += 0.1
+    assert "energy rises" in judge_rolling(body, q, faster, none, 1.0, 0.004, 0.05).why
+    # What the springs give back is none that is gained.
+    given_back = np.linspace(100.0, 0.0, 20)
+    assert judge_rolling(body, q, faster, given_back, 1.0, 0.004, 0.05).sane
+    tipping = q.copy()
+    tipping[-1, 3:7] = (np.sin(0.1), 0.0, 0.0, np.cos(0.1))
+    assert "leans by 11.5 degrees" in judge_rolling(body, tipping, u, none, 1.0, 0.004, 0.05).why
+
+
+def test_gaps_are_those_between_the_ends_of_springs():
+    body, q, _ = riders(1)
+    closed = spring_gaps(body, body.link_poses(q))
+    assert closed.shape == (1, len(body.springs))
+    assert closed.max() < 1e-6
+    ankle = body.coordinate_names.index("left_ankle")
+    q[0, ankle] += 0.1
+    opened = spring_gaps(body, body.link_poses(q))[0]
+    (pedal,) = np.flatnonzero(opened > 1e-3)
+    assert body.springs[pedal].name == "left_pedal"
+    assert opened[pedal] == pytest.approx(2.0 * np.sin(0.05) * np.hypot(0.11, 0.10), rel=0.02)
+
+
+def test_lean_is_against_gravity_whatever_the_heading():
+    yaw, lean = 1.1, -0.3
+    heading = np.array([0.0, 0.0, np.sin(0.5 * yaw), np.cos(0.5 * yaw)])
+    x, w = np.sin(0.5 * lean), np.cos(0.5 * lean)
+    z, v = heading[2], heading[3]
+    turned = np.array([v * x, z * x, z * w, v * w])  # heading, then lean about the bicycle's own x
+    assert lean_of(turned) == pytest.approx(lean)

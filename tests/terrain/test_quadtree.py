@@ -140,12 +140,15 @@ def test_what_comes_first_has_the_right_of_way(mesh: TriangleMesh):
 
 
 def test_every_triangle_is_listed_where_it_lies(tree: Quadtree, mesh: TriangleMesh):
-    counts = np.diff(tree.starts)
-    assert counts.min() >= 1
-    assert counts.max() <= LEAF_TRIANGLES
-    assert set(tree.members.tolist()) == set(range(len(mesh.triangles)))
-    for first, end in zip(tree.starts[:500], tree.starts[1:501], strict=False):
-        assert (np.diff(tree.members[first:end]) > 0).all()
+    heads = -1 - np.concatenate([tree.roots, tree.nodes])
+    heads = heads[heads >= 0]
+    lists = [tree.lists[head + 1 : head + 1 + tree.lists[head]] for head in heads.tolist()]
+    assert sum(len(members) + 1 for members in lists) == len(tree.lists)
+    assert min(len(members) for members in lists) >= 1
+    assert max(len(members) for members in lists) <= LEAF_TRIANGLES
+    assert set(np.concatenate(lists).tolist()) == set(range(len(mesh.triangles)))
+    for members in lists:  # what was given first comes first
+        assert (np.diff(tree.given[members]) > 0).all()
 
 
 def test_no_triangles_is_an_error():
