@@ -33,9 +33,7 @@ from echelon.agents.bicycle import (
     STEER,
     STEER_SPEED,
     BicycleParameters,
-    bicycle_links,
     racing_bicycle,
-    wheel_sites,
 )
 from echelon.agents.pedalling import (
     CADENCE,
@@ -60,10 +58,7 @@ from echelon.agents.rider_body import (
     CRANK,
     SIDES,
     RiderParameters,
-    crank_link,
-    rider_links,
-    rider_sites,
-    rider_springs,
+    cyclist_model,
 )
 from echelon.agents.rider_limbs import ArmReach, leg_pose
 from echelon.agents.steering import (
@@ -477,18 +472,6 @@ class Cyclist:
             joints.servo(
                 axis.u, view.q[axis.q], view.u[axis.u], target, 0.0, kp * strength, kv * damping, view.implicit_step
             )
-
-
-def cyclist_model(rider: RiderParameters, bicycle: BicycleParameters, *, fifteen_segments: bool = False) -> Model:
-    """Bicycle and rider as one body."""
-    frame, *others = bicycle_links(bicycle)
-    return Model(
-        name="cyclist-1995" if fifteen_segments else "cyclist",
-        links=(frame, *others, crank_link(bicycle), *rider_links(rider, bicycle, head_and_hands=fifteen_segments)),
-        springs=rider_springs(rider, bicycle, head_and_hands=fifteen_segments),
-        contacts=(*wheel_sites(bicycle), *rider_sites(rider, bicycle, head_and_hands=fifteen_segments)),
-        gravity=bicycle.gravity,
-    )
 
 
 def _axes_by_name(body: Model) -> dict[str, _Axis]:

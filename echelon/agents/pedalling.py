@@ -1,9 +1,9 @@
 """How a rider drives: crank torque from speed, shared by two legs, through gears and a chain to the rear wheel.
 
 * **Torque**, equation 7 of *Animating Human Athletics*, in the reading tau = k (v_d - v): here k = K r G, so that a
-  metre a second too slow is answered by the same force on the road in every gear. It is bounded by what a rider can do:
-  a power for ever and a larger one for about a minute. What is ridden above the first is taken from a *reserve* [J] that
-  fills again below it.
+  metre a second too slow is answered by the same force on the road in every gear. It is bounded by what a rider can
+  do: a power for ever and a larger one for about a minute. What is ridden above the first is taken from a *reserve*
+  [J] that fills again below it.
 * **Sharing**, equations 8 to 10: with th the right crank's angle from the top, the right leg gives w = (sin th + 1) / 2
   of it and the left leg the rest; for braking torque the other way round. The forces are tangential, so that the sum of
   both is the torque at every angle. Each leg's joint torques are those that push its pedal with its force; servos along
@@ -39,9 +39,9 @@ CHAIN_STIFFNESS, CHAIN_DAMPING = 400.0, 0.7  # at the wheel [N m/rad], [N m s/ra
 
 BRAKE_MARGIN = 0.4  # brakes are left alone until a rider is this much too fast [m/s]
 BRAKE_GAIN = 1.5  # deceleration for each m/s beyond that [1/s]
-BRAKE_LIMIT = 3.5  # the strongest braking [m/s^2]; at 5 the rear wheel would lift
+BRAKE_LIMIT = 2.5  # the strongest braking [m/s^2]; at 3.5 the rear wheel, almost unloaded, slides
 BRAKE_LEAN = 0.75  # at which next to no braking is left [rad]
-FRONT_SHARE = 0.6  # of the front wheel's brake
+FRONT_SHARE = 0.8  # of the front wheel's brake
 FULL_GRIP = 1.0  # wheels that turn slower than this are braked less, and stay where they stand [rad/s]
 
 

@@ -22,10 +22,10 @@ import math
 from dataclasses import dataclass, replace
 
 from echelon.agents import rider_looks as looks
-from echelon.agents.bicycle import FORK, FRAME, BicycleParameters
+from echelon.agents.bicycle import FORK, FRAME, BicycleParameters, bicycle_links, wheel_sites
 from echelon.agents.bicycle_looks import crank_visuals
 from echelon.errors import InputError
-from echelon.warp_kernels.model import ContactSite, Joint, Link, Matrix3, Spring, Vec3, Visual
+from echelon.warp_kernels.model import ContactSite, Joint, Link, Matrix3, Model, Spring, Vec3, Visual
 
 SIDES = (("left", 1.0), ("right", -1.0))
 FORWARD: Vec3 = (0.0, -1.0, 0.0)  # turning about it brings what hangs forward
@@ -328,6 +328,18 @@ def rider_sites(rider: RiderParameters, bicycle: BicycleParameters, *, head_and_
         use="rare",
     )
     return (*grounded, bumper)
+
+
+def cyclist_model(rider: RiderParameters, bicycle: BicycleParameters, *, fifteen_segments: bool) -> Model:
+    """Bicycle and rider as one body, called as its character is."""
+    frame, *others = bicycle_links(bicycle)
+    return Model(
+        name="cyclist-1995" if fifteen_segments else "cyclist",
+        links=(frame, *others, crank_link(bicycle), *rider_links(rider, bicycle, head_and_hands=fifteen_segments)),
+        springs=rider_springs(rider, bicycle, head_and_hands=fifteen_segments),
+        contacts=(*wheel_sites(bicycle), *rider_sites(rider, bicycle, head_and_hands=fifteen_segments)),
+        gravity=bicycle.gravity,
+    )
 
 
 def _link(name: str, parent: str, segment: Segment, joint: Joint, visuals: tuple[Visual, ...]) -> Link:

@@ -44,7 +44,7 @@ def trunk_visuals(shoulder: Vec3, neck: Vec3) -> tuple[Visual, ...]:
         Visual("ellipsoid", (0.120, 0.170, 0.20), (-0.010, 0.0, 0.27)),
         tube((-0.005, width - 0.03, height), (-0.005, -width + 0.03, height), 0.062, None),
         # A race number low on the back.
-        Visual("box", (0.012, 0.070, 0.060), (-0.109, 0.0, 0.17), (0.0, -0.035, 0.0, 0.9994), NUMBER),
+        Visual("box", (0.012, 0.052, 0.055), (-0.107, 0.0, 0.17), (0.0, -0.035, 0.0, 0.9994), NUMBER),
         tube((0.005, 0.0, height), (neck[0] + 0.02, 0.0, neck[2] + 0.05), 0.055, SKIN),
     )
 
@@ -91,7 +91,7 @@ def lower_leg_visuals(length: float) -> tuple[Visual, ...]:
 
 
 def foot_visuals(sole: Vec3) -> tuple[Visual, ...]:
-    """A shoe with a stiff sole, its ball on the pedal, and the pedal, which is clipped to it and stays level with it."""
+    """A shoe with a stiff sole, its ball on the pedal, and the pedal, which is clipped to it and turns with it."""
     ball, low = sole[0], sole[2]
     return (
         Visual("ellipsoid", (0.140, 0.045, 0.040), (ball - 0.055, 0.0, low + 0.048), color=SHOE),

@@ -13,9 +13,11 @@ Two ways of wanting:
 * **The paper's**: a heading. Lean and turning are desired to be zero, so heading follows a command that keeps turning
   with a lag. The heading error is capped at what a lean of `HEADING_LEAN` balances.
 * **Pursuit**: a point on the road ahead. The circle through it that leaves along the heading has curvature
-  2 sin(e) / L, with e the angle to the point and L its distance. At speed v it asks for a turning b'_d = v 2 sin(e) / L,
-  for the lean a_d = -atan(v b'_d / g) that balances it, and for the fork angle of that circle, which is added. There is
-  no term in the heading itself. The curvature is filtered: unfiltered, a step of it throws the rider.
+  2 sin(e) / L, with e the angle to the point and L its distance. At speed v it asks for a turning
+  b'_d = v 2 sin(e) / L, for the lean a_d = -atan(v b'_d / g) that balances it, and for the fork angle of that circle,
+  which is added. There is no term in the heading itself. The point is seen from where the bicycle will be in half a
+  second, since leaning takes as long, and the curvature is filtered and held to the rate at which a body can be thrown
+  over: a step of it would throw the rider.
 
 The first two gains stand in one ratio, 0.34 s, the time in which an unsteered rider's lean grows by e: the law acts on
 the lean as it will be if nothing is done. Gains are low where the loop has little delay to spare; arms and their
@@ -24,13 +26,14 @@ servos take 50 to 60 ms to bring the fork where it is wanted.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from echelon.agents.bicycle import BicycleParameters
-from echelon.warp_kernels.spatial import apply, dot
+from echelon.warp_kernels.spatial import Matrix, apply, dot
 from echelon.warp_kernels.trace import asin, atan2, clamp, maximum, minimum, select, sincos, sqrt
 
 GRAVITY = 9.80665  # [m/s^2]
@@ -80,7 +83,7 @@ class Attitude:
     ahead: tuple[Any, Any]
 
     @classmethod
-    def of(cls, rotation: Sequence[Sequence[Any]], velocity: Sequence[Any], omega: Sequence[Any]) -> Attitude:
+    def of(cls, rotation: Matrix, velocity: Sequence[Any], omega: Sequence[Any]) -> Attitude:
         """From a frame's rotation to the world, its velocity there, and its angular velocity in its own axes."""
         across_x, across_y = rotation[0][1], rotation[1][1]
         inverse = 1.0 / sqrt(maximum(across_x * across_x + across_y * across_y, 1e-4))
@@ -103,7 +106,7 @@ class Attitude:
 def scheduled_gains(speed: Any) -> tuple[Any, Any, Any, Any]:
     """k_a, k_a', k_b, k_b' at a speed: straight lines between the entries of `GAINS`."""
     values: list[Any] = list(GAINS[0][1:])
-    for (low, *before), (high, *after) in zip(GAINS, GAINS[1:], strict=False):
+    for (low, *before), (high, *after) in itertools.pairwise(GAINS):
         within = clamp(speed - low, 0.0, high - low)
         for i in range(4):
             values[i] = values[i] + (after[i] - before[i]) / (high - low) * within
@@ -132,8 +135,9 @@ def wanted_curvature(attitude: Attitude, x: Any, y: Any, look_ahead: Any, turnin
     turn = path * turning
     half_sine, half_cosine = sincos(0.5 * turn)
     # The point from there, in axes along the heading of now, then of then.
-    ahead = look_ahead * (cosine / length) - path * half_cosine
-    beside = look_ahead * (sine / length) - path * half_sine
+    chord = path * (1.0 - turn * turn * (1.0 / 24.0))
+    ahead = look_ahead * (cosine / length) - chord * half_cosine
+    beside = look_ahead * (sine / length) - chord * half_sine
     turn_sine, turn_cosine = 2.0 * half_sine * half_cosine, 1.0 - 2.0 * half_sine * half_sine
     ahead, beside = turn_cosine * ahead + turn_sine * beside, turn_cosine * beside - turn_sine * ahead
     distance = maximum(sqrt(ahead * ahead + beside * beside), 0.5 * LEAST_LOOK_AHEAD)

@@ -16,8 +16,6 @@ one agent's life a second of computing gives. A run that is not sane (see `sanit
 
 from __future__ import annotations
 
-import os
-import platform
 import statistics
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
@@ -29,6 +27,7 @@ from echelon.agents.servo import ServoedBody
 from echelon.benchmarks.compile_time import compile_time
 from echelon.benchmarks.engine_report import LARGEST_STEP, SAME_STEP, print_table
 from echelon.benchmarks.engine_runs import CYCLIST, HOPPER, character_of, start_run, stride_of
+from echelon.benchmarks.machine import machine_name, package_versions
 from echelon.benchmarks.sanity import Verdict
 from echelon.benchmarks.timed_engine import STRIDE, Run, Stride
 from echelon.errors import InputError
@@ -188,8 +187,8 @@ def engine_row(
         "ratio": theirs / ours if verdict.sane and peer is not None else None,
         "compile_seconds": None,
         "load_seconds": None,
-        "machine": _machine(),
-        "versions": _versions(),
+        "machine": machine_name(),
+        "versions": package_versions(),
     }
     run.engine.close()
     return row
@@ -222,12 +221,12 @@ def _take_turns(run: Run, peer: PeerRun | None, rounds: int) -> tuple[float, flo
 
 
 def _fastest(peers: Sequence[PeerRun]) -> PeerRun | None:
-    """Who gets farthest in a second."""
+    """Who gets farthest in a second, each in its best round: what disturbs one can only slow it."""
     times: list[list[float]] = [[] for _ in peers]
     for _ in range(CHOOSING_ROUNDS):
         for peer, found in zip(peers, times, strict=True):
             found.append(peer.round())
-    rates = [peer.step / statistics.median(found) for peer, found in zip(peers, times, strict=True)]
+    rates = [peer.step / min(found) for peer, found in zip(peers, times, strict=True)]
     return peers[rates.index(max(rates))] if rates else None
 
 
@@ -288,20 +287,3 @@ def _actions(name: str) -> str:
     if name == CYCLIST:
         return "riding at 6 m/s on a rolling road; MuJoCo: rolling unsteered from 6 m/s for 0.5 s, again and again"
     return "servos holding a pose in free flight"
-
-
-def _machine() -> str:
-    """Processor and number of cores."""
-    model = platform.processor() or platform.machine()
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
-            model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), model)
-    except OSError:
-        # Not Linux: what the platform module knows must do.
-        pass
-    return f"{model}, {os.cpu_count()} cores"
-
-
-def _versions() -> str:
-    packages = [("Warp", "warp-lang"), ("NumPy", "numpy")]
-    return ", ".join([f"Python {platform.python_version()}", *(f"{name} {version(key)}" for name, key in packages)])

@@ -60,7 +60,7 @@ def measure_queries(surfaces: RoadSurfaces, device: wp.DeviceLike = "cpu", count
     riding = beside(0.05 * tick + 2.0 * rider, np.where(rider % 2, 1.0, -1.0))
     ground = surfaces.quadtree.data(device)
     rates = [_rate(ground, places, device) for places in (anywhere, on_road, riding)]
-    return QueryRates(len(surfaces.quadtree.corners), *rates)
+    return QueryRates(len(surfaces.quadtree.placements), *rates)
 
 
 def _rate(ground: GroundTree, places: np.ndarray, device: wp.DeviceLike) -> float:

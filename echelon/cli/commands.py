@@ -140,6 +140,7 @@ class Study(StrEnum):
 
     ENGINE = "engine"
     BICYCLE = "bicycle"
+    TERRAIN = "terrain"
 
 
 RepresentationOption = Annotated[
@@ -378,7 +379,8 @@ def bench(
         Study,
         typer.Argument(
             help="engine: how fast bodies are simulated, beside MuJoCo; "
-            "bicycle: whether one balances itself at the speeds at which it should."
+            "bicycle: whether one balances itself at the speeds at which it should; "
+            "terrain: how fast the ground can be asked for its height."
         ),
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON array, and nothing else.")] = False,
@@ -388,6 +390,9 @@ def bench(
     if study is Study.BICYCLE:
         from echelon.benchmarks.bicycle import print_table
         from echelon.benchmarks.bicycle import run_bicycle_benchmark as run_benchmark
+    elif study is Study.TERRAIN:
+        from echelon.benchmarks.terrain import print_table
+        from echelon.benchmarks.terrain import run_terrain_benchmark as run_benchmark
     else:
         from echelon.benchmarks.engine import print_table
         from echelon.benchmarks.engine import run_engine_benchmark as run_benchmark

@@ -12,6 +12,10 @@ from echelon.export.road_scene import GRASS
 
 DRY = np.array([0.215, 0.205, 0.075])  # grass where it is dry
 MOWN = 3.0  # [m] of the verge along the road, mown to and fro
+# Sizes [m] of patches and how much darker or lighter they are.
+GRASS_GRAIN = ((0.5, 0.30), (1.3, 0.26), (4.5, 0.22), (21.0, 0.22))
+VERGE_GRAIN = ((0.45, 0.34), (1.2, 0.24), (5.0, 0.12))
+ASPHALT_GRAIN = ((0.5, 0.26), (1.4, 0.16), (7.0, 0.20))
 WHEEL_TRACKS = 0.05  # how much darker asphalt is where cars roll
 
 
@@ -31,7 +35,7 @@ def ground_albedo(
         return _grass(base, places, spacing)
     if name == "verge" and uv is not None:
         stripe = np.where(np.floor(uv[:, 1] / MOWN) % 2 == 0, 0.08, -0.08) * _fade(spacing, 2.0 * MOWN)
-        tone = 0.34 * _shade(places, 0.8, spacing) + 0.12 * _shade(places, 5.0, spacing) + stripe
+        tone = _grain(places, spacing, VERGE_GRAIN) + stripe
         mown = base * (1.0 + tone[:, None])
         # Away from the road the verge becomes the land.
         inner = np.abs(uv[:, 0]) - np.abs(uv[:, 0]).min(initial=np.inf)
@@ -39,16 +43,19 @@ def ground_albedo(
         return mown + away * (_grass(np.array(GRASS), places, spacing) - mown)
     if name == "paint":
         return base * (1.0 + 0.10 * _shade(places, 0.6, spacing)[:, None])
-    tone = 0.30 * _shade(places, 0.6, spacing) + 0.22 * _shade(places, 7.0, spacing)
+    tone = _grain(places, spacing, ASPHALT_GRAIN)
     if name == "asphalt" and uv is not None:
         tone += WHEEL_TRACKS * np.cos(8.0 * np.pi * (uv[:, 0] - 0.5))
     return base * (1.0 + tone[:, None])
 
 
+def _grain(places: np.ndarray, spacing: np.ndarray, grain: tuple[tuple[float, float], ...]) -> np.ndarray:
+    """Tones of several sizes [m] and strengths together, shape [n]."""
+    return np.sum([strength * _shade(places, size, spacing) for size, strength in grain], axis=0)
+
+
 def _grass(base: np.ndarray, places: np.ndarray, spacing: np.ndarray) -> np.ndarray:
-    tone = (
-        0.34 * _shade(places, 1.1, spacing) + 0.22 * _shade(places, 4.5, spacing) + 0.22 * _shade(places, 21.0, spacing)
-    )
+    tone = _grain(places, spacing, GRASS_GRAIN)
     dry = np.clip(1.5 * _noise(places, 70.0) - 0.5, 0.0, 0.7)[:, None]
     return (base + dry * (DRY - base)) * (1.0 + tone[:, None])
 

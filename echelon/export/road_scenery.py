@@ -29,7 +29,12 @@ from echelon.warp_kernels.model import Vec3
 
 CELL = 24.0  # [m] of the grid of windows
 GROUND_REACH = 1500.0  # [m] from the middle of a window
-FINE_GROUND = ((190.0, 10.0), (70.0, 3.0), (32.0, 1.0))  # [m]: within so far, triangles are no longer than that
+FINE_GROUND = (
+    (190.0, 10.0),
+    (70.0, 3.0),
+    (32.0, 1.0),
+    (13.0, 0.45),
+)  # [m]: within so far, triangles are no longer than that
 THING_REACH = {"house": 1000.0, "townhouse": 1000.0, "lamp": 260.0, "hydrant": 110.0}
 OTHER_REACH = 650.0  # [m], of trees and what else there is
 SHADOW_REACH = 110.0  # [m]

@@ -16,11 +16,20 @@ from pxr import Tf, Usd, UsdGeom, UsdSkel, Vt
 from scipy.spatial.transform import Rotation
 
 from echelon.errors import InputError
-from echelon.export.picture_source import PEN_NAME, DrawnCast, DrawnFence, DrawnPart, DrawnPen, DrawnWorld
-from echelon.export.shapes import POST_HALF_WIDTH, Mesh
-from echelon.warp_kernels.model import Vec3
-
-_RECTANGLE_POINTS = 5  # of the ground's mesh, its middle included; an oval has more
+from echelon.export.drawn_parts import DrawnPart
+from echelon.export.picture_source import DrawnCast
+from echelon.export.stage_prims import (
+    beneath,
+    drawn_part,
+    meshes_beneath,
+    moving_ancestor,
+    own_color,
+    own_colors,
+    read_mesh,
+    rigid_poses,
+    selected,
+)
+from echelon.export.stage_world import read_world
 
 
 class StageSource:
@@ -42,7 +51,7 @@ class StageSource:
         self.frame_rate = round(self._stage.GetTimeCodesPerSecond())
         self._start = round(self._stage.GetStartTimeCode())
         self.frame_count = round(self._stage.GetEndTimeCode()) - self._start + 1
-        self.world = _read_world(world)
+        self.world = read_world(world)
         self._troupes = _troupes(crowd)
         if not self._troupes or self.frame_count < 1:
             raise InputError(f"{path}: there is nothing to draw: nobody in {crowd.GetPath()}, or no frames")
@@ -78,7 +87,15 @@ class StageSource:
         return poses
 
     def body_places(self, first: int, last: int) -> np.ndarray:
-        return self.link_poses(first, last)[:, :, 0, :2]
+        places = np.zeros((last - first, sum(len(troupe.colors) for troupe in self._troupes), 3))
+        for frame in range(first, last):
+            self._cache.SetTime(self._start + frame)
+            agent = 0
+            for troupe in self._troupes:
+                found = troupe.places(self._cache)
+                places[frame - first, agent : agent + len(found)] = found
+                agent += len(found)
+        return places
 
 
 def _open(path: Path) -> Usd.Stage:
@@ -97,18 +114,23 @@ class _Rigs:
 
     def __init__(self, agents: Sequence[Usd.Prim]) -> None:
         found: dict[str, list[DrawnPart]] = {}
-        for mesh in _meshes(agents[0]):
-            owner = _moving_ancestor(mesh)
+        for mesh in meshes_beneath(agents[0]):
+            owner = moving_ancestor(mesh)
             relative = str(owner.GetPath().MakeRelativePath(agents[0].GetPath()))
-            found.setdefault(relative, []).append(_part(mesh, owner))
+            found.setdefault(relative, []).append(drawn_part(mesh, owner))
         self.links = tuple(tuple(parts) for parts in found.values())
-        self.colors = _own_colors(agents)
+        self.colors = own_colors(agents)
         self._owners = [agent.GetPrimAtPath(name) for agent in agents for name in found]
+
+    def places(self, cache: UsdGeom.XformCache) -> np.ndarray:
+        """Where the first links are at the cache's time [m], shape [agents, 3]."""
+        roots = [cache.GetLocalToWorldTransform(owner) for owner in self._owners[:: len(self.links)]]
+        return np.asarray(Vt.Matrix4dArray(roots))[:, 3, :3]
 
     def poses(self, cache: UsdGeom.XformCache) -> np.ndarray:
         """Poses of links at the cache's time, shape [agents, links, 7]."""
         matrices = Vt.Matrix4dArray([cache.GetLocalToWorldTransform(owner) for owner in self._owners])
-        return _poses(np.asarray(matrices)).reshape(len(self.colors), len(self.links), 7)
+        return rigid_poses(np.asarray(matrices)).reshape(len(self.colors), len(self.links), 7)
 
 
 class _Skeletons:
@@ -120,19 +142,23 @@ class _Skeletons:
         self._queries = []
         for agent in agents:
             skels.Populate(UsdSkel.Root(agent), Usd.TraverseInstanceProxies())
-            skeleton = next(prim for prim in _beneath(agent) if prim.IsA(UsdSkel.Skeleton))
+            skeleton = next(prim for prim in beneath(agent) if prim.IsA(UsdSkel.Skeleton))
             self._queries.append(skels.GetSkelQuery(UsdSkel.Skeleton(skeleton)))
         bind = np.asarray(self._queries[0].GetJointWorldBindTransforms())
         links: list[list[DrawnPart]] = [[] for _ in bind]
-        for prim in _meshes(agents[0]):
-            mesh, source = _read_mesh(prim, agents[0])
+        for prim in meshes_beneath(agents[0]):
+            mesh, source = read_mesh(prim, agents[0])
             joint_of = np.asarray(UsdSkel.BindingAPI(prim).GetJointIndicesPrimvar().Get())[source]
             for joint in np.unique(joint_of).tolist():
                 # Bound in a pose in which all links are parallel to the world: only their origins differ.
-                part = _selected(mesh, joint_of == joint, bind[joint, 3, :3])
-                links[joint].append(DrawnPart(part, _own_color(prim)))
+                part = selected(mesh, joint_of == joint, bind[joint, 3, :3])
+                links[joint].append(DrawnPart(part, own_color(prim)))
         self.links = tuple(tuple(parts) for parts in links)
-        self.colors = _own_colors(agents)
+        self.colors = own_colors(agents)
+
+    def places(self, cache: UsdGeom.XformCache) -> np.ndarray:
+        """Where the first links are at the cache's time [m], shape [agents, 3]."""
+        return self.poses(cache)[:, 0, :3]
 
     def poses(self, cache: UsdGeom.XformCache) -> np.ndarray:
         """Poses of links at the cache's time, shape [agents, links, 7]."""
@@ -140,7 +166,7 @@ class _Skeletons:
         for agent, query in zip(self._agents, self._queries, strict=True):
             joints = np.asarray(query.ComputeJointSkelTransforms(cache.GetTime()))
             found.append(joints @ np.asarray(cache.GetLocalToWorldTransform(agent)))
-        return _poses(np.stack(found))
+        return rigid_poses(np.stack(found))
 
 
 class _Points:
@@ -151,10 +177,16 @@ class _Points:
         links = []
         for prim, instancer in zip(instancers, self._instancers, strict=True):
             prototype = prim.GetStage().GetPrimAtPath(instancer.GetPrototypesRel().GetTargets()[0])
-            links.append(tuple(_part(mesh, prototype) for mesh in _meshes(prototype)))
+            links.append(tuple(drawn_part(mesh, prototype) for mesh in meshes_beneath(prototype)))
         self.links = tuple(links)
         colors = UsdGeom.PrimvarsAPI(instancers[0]).GetPrimvar("displayColor").ComputeFlattened()
         self.colors = np.asarray(colors, dtype=np.float32)
+
+    def places(self, cache: UsdGeom.XformCache) -> np.ndarray:
+        """Where the first links are at the cache's time [m], shape [agents, 3]."""
+        to_world = np.asarray(cache.GetLocalToWorldTransform(self._instancers[0].GetPrim()))
+        positions = np.asarray(self._instancers[0].GetPositionsAttr().Get(cache.GetTime()), dtype=np.float64)
+        return positions @ to_world[:3, :3] + to_world[3, :3]
 
     def poses(self, cache: UsdGeom.XformCache) -> np.ndarray:
         """Poses of links at the cache's time, shape [agents, links, 7]."""
@@ -176,7 +208,7 @@ def _troupes(crowd: Usd.Prim) -> list[_Rigs | _Skeletons | _Points]:
             ids = UsdGeom.PointInstancer(prim).GetIdsAttr().Get()
             key = ("points", *map(str, ids))
         elif prim.IsA(UsdSkel.Root) or prim.IsA(UsdGeom.Xform):
-            below = [str(mesh.GetPath().MakeRelativePath(prim.GetPath())) for mesh in _meshes(prim)]
+            below = [str(mesh.GetPath().MakeRelativePath(prim.GetPath())) for mesh in meshes_beneath(prim)]
             if not below:  # the animations of skeletons, or nothing to see
                 continue
             key = ("skel" if prim.IsA(UsdSkel.Root) else "rig", prim.GetName().rpartition("_")[0], *below)
@@ -189,117 +221,3 @@ def _troupes(crowd: Usd.Prim) -> list[_Rigs | _Skeletons | _Points]:
         "rig": _Rigs,
     }
     return [kinds[key[0]](prims) for key, prims in groups.items()]
-
-
-# ---- the world -----------------------------------------------------------------------------------------------------
-def _read_world(world: Usd.Prim) -> DrawnWorld:
-    """Ground and fences; the corral is the square around the fence of that name."""
-    oval, fences, pen = None, [], None
-    for prim in world.GetChildren():
-        meshes = _meshes(prim)
-        if prim.GetName() == "Ground":
-            for turf in (mesh for mesh in meshes if mesh.GetName() == "turf"):
-                points = _part(turf, world).mesh.points
-                if len(points) > _RECTANGLE_POINTS:
-                    oval = (float(np.abs(points[:, 0]).max()), float(np.abs(points[:, 1]).max()))
-            continue
-        fences += [DrawnFence(prim.GetName(), _part(mesh, world).mesh) for mesh in meshes]
-        if prim.GetName() == PEN_NAME and meshes:
-            low, high = fences[-1].mesh.extent[:, :2].astype(np.float64)
-            middle = 0.5 * (low + high)
-            pen = DrawnPen((float(middle[0]), float(middle[1])), float((high - low).max()) - 2.0 * POST_HALF_WIDTH)
-    return DrawnWorld(oval, tuple(fences), pen)
-
-
-# ---- prims ---------------------------------------------------------------------------------------------------------
-def _beneath(prim: Usd.Prim) -> list[Usd.Prim]:
-    """The prim and all below it, instanced ones included."""
-    return list(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
-
-
-def _meshes(prim: Usd.Prim) -> list[Usd.Prim]:
-    return [below for below in _beneath(prim) if below.IsA(UsdGeom.Mesh)]
-
-
-def _moving_ancestor(mesh: Usd.Prim) -> Usd.Prim:
-    """The transform that carries a mesh: the nearest that is not part of a shared, and so motionless, asset."""
-    prim = mesh.GetParent()
-    while prim.IsInstanceProxy() or prim.IsInstance() or not prim.IsA(UsdGeom.Xform):
-        prim = prim.GetParent()
-    return prim
-
-
-def _part(prim: Usd.Prim, owner: Usd.Prim) -> DrawnPart:
-    """A mesh prim in its owner's frame, with a colour where it has one of its own."""
-    return DrawnPart(_read_mesh(prim, owner)[0], _own_color(prim))
-
-
-def _read_mesh(prim: Usd.Prim, owner: Usd.Prim) -> tuple[Mesh, np.ndarray]:
-    """A mesh prim in its owner's frame, and which of the prim's points each point of it is."""
-    mesh = UsdGeom.Mesh(prim)
-    points = np.asarray(mesh.GetPointsAttr().Get(), dtype=np.float64)
-    counts = np.asarray(mesh.GetFaceVertexCountsAttr().Get(), dtype=np.int32)
-    corners = np.asarray(mesh.GetFaceVertexIndicesAttr().Get(), dtype=np.int32)
-    normals, normal_of_corner = _normals(prim, points, counts, corners)
-    # A point with several normals, at an edge, becomes several points.
-    pairs, corner = np.unique(np.column_stack([corners, normal_of_corner]), axis=0, return_inverse=True)
-    cache = UsdGeom.XformCache()
-    to_owner = np.asarray(cache.GetLocalToWorldTransform(prim) * cache.GetLocalToWorldTransform(owner).GetInverse())
-    placed = Mesh(
-        points=(points[pairs[:, 0]] @ to_owner[:3, :3] + to_owner[3, :3]).astype(np.float32),
-        normals=(normals[pairs[:, 1]] @ to_owner[:3, :3]).astype(np.float32),
-        face_vertex_counts=counts,
-        face_vertex_indices=corner.reshape(-1).astype(np.int32),
-    )
-    return placed, pairs[:, 0]
-
-
-def _normals(
-    prim: Usd.Prim, points: np.ndarray, counts: np.ndarray, corners: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Normals of a mesh, shape [n, 3], and which one each corner has; those of the faces where none are authored."""
-    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
-    values = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
-    if values is not None and len(values) == len(corners):
-        return np.asarray(values, dtype=np.float64), np.arange(len(corners))
-    if values is not None and len(values) == len(points):
-        return np.asarray(values, dtype=np.float64), corners
-    first = np.cumsum(counts) - counts
-    a, b, c = (points[corners[first + step]] for step in range(3))
-    faces = np.cross(b - a, c - a)
-    faces /= np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-12)
-    return faces, np.repeat(np.arange(len(counts)), counts)
-
-
-def _selected(mesh: Mesh, wanted: np.ndarray, origin: np.ndarray) -> Mesh:
-    """The faces of a mesh whose points are wanted, all of a face's or none, relative to an origin [m]."""
-    face = np.repeat(np.arange(len(mesh.face_vertex_counts)), mesh.face_vertex_counts)
-    kept = wanted[mesh.face_vertex_indices]
-    number = np.cumsum(wanted) - 1
-    return Mesh(
-        points=(mesh.points[wanted] - origin).astype(np.float32),
-        normals=mesh.normals[wanted],
-        face_vertex_counts=mesh.face_vertex_counts[np.unique(face[kept])],
-        face_vertex_indices=number[mesh.face_vertex_indices[kept]].astype(np.int32),
-    )
-
-
-def _own_color(prim: Usd.Prim) -> Vec3 | None:
-    """Linear RGB that is authored on the prim itself."""
-    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
-    if not primvar or not primvar.HasAuthoredValue():
-        return None
-    red, green, blue = primvar.Get()[0]
-    return (float(red), float(green), float(blue))
-
-
-def _own_colors(prims: Sequence[Usd.Prim]) -> np.ndarray:
-    """Linear RGB of each prim, grey where it has none, float32, shape [prims, 3]."""
-    return np.array([_own_color(prim) or (0.5, 0.5, 0.5) for prim in prims], dtype=np.float32)
-
-
-def _poses(matrices: np.ndarray) -> np.ndarray:
-    """Poses [..., 7] of rigid transforms as USD has them, for row vectors, shape [..., 4, 4]."""
-    flat = matrices.reshape(-1, 4, 4)
-    turns = Rotation.from_matrix(flat[:, :3, :3].transpose(0, 2, 1)).as_quat()
-    return np.concatenate([flat[:, 3, :3], turns], axis=1).reshape(*matrices.shape[:-2], 7)

@@ -32,9 +32,10 @@ from echelon.flocking.road_riders import (
 wp.set_module_options({"enable_backward": False})
 
 FOLLOW_GAIN = wp.constant(0.6)  # [1/s]; speed for each metre that the gap is too short or too long
-SIDE_MARGIN = wp.constant(0.15)  # [m]; nearer than this sideways, who is ahead is in the same line
+SIDE_MARGIN = wp.constant(0.3)  # [m]; nearer than this sideways, who is ahead is not wholly out of the way
+CLEAR_OF = wp.constant(5.0)  # [m/s]; so much faster one may be past somebody who is barely out of the way
 ANTICIPATED = wp.constant(1.5)  # [s]; the gap counts as what will be left of it after so long at this speed
-FORESEEN = wp.constant(1.0)  # [m/s]
+FORESEEN = wp.constant(0.7)  # [m/s]
 DROP_BACK = wp.constant(2.0)  # [m/s]; never slower than who is ahead by more than this
 YIELD = wp.constant(1.2)  # [m/s]; the same where one only means to move behind another
 BESIDE = wp.constant(0.4)  # [m]; a body so little ahead or behind counts as beside...
@@ -70,6 +71,15 @@ def apart(a: wp.vec2, b: wp.vec2) -> float:
 
 
 @wp.func
+def clear_of(room: float) -> float:
+    """How far a line with so much room [m] beside a body is clear of it: 0 in the way, 1 clear.
+
+    In between, who drifts a little to the side need not brake as if for a wall.
+    """
+    return wp.clamp(room / SIDE_MARGIN, 0.0, 1.0)
+
+
+@wp.func
 def speed_behind_others(rider: int, rules: RoadRules, seen: RidersSeen, riders: RoadRiders) -> float:
     """Greatest speed along the road that those ahead allow [m/s]."""
     limit = float(NO_LIMIT)
@@ -85,11 +95,10 @@ def speed_behind_others(rider: int, rules: RoadRules, seen: RidersSeen, riders: 
             fastest = follow_speed(ahead - rules.body_length, lead, riders.along[rider], rules)
             if fastest < limit:
                 claimed = claimed_by(other, riders)
-                least = rules.body_half_width + half_width_of(other, rules, riders) + SIDE_MARGIN
-                if apart(own, claimed) < least:
-                    limit = fastest
-                elif apart(meant, claimed) < least:
-                    limit = wp.min(limit, wp.max(fastest, lead - YIELD))
+                width = rules.body_half_width + half_width_of(other, rules, riders)
+                limit = wp.min(limit, fastest + CLEAR_OF * clear_of(apart(own, claimed) - width))
+                meaning = wp.max(fastest, lead - YIELD)
+                limit = wp.min(limit, meaning + CLEAR_OF * clear_of(apart(meant, claimed) - width))
     return limit
 
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from echelon.flocking.clearance import SIDE_MARGIN, apart, follow_speed, is_beside, is_left, lead_speed
+from echelon.flocking.clearance import CLEAR_OF, apart, clear_of, follow_speed, is_beside, is_left, lead_speed
 from echelon.flocking.corner_speeds import CornerSpeeds, corner_speed
 from echelon.flocking.road_obstacles import BLOCKED, RoadObstacles, obstacle_cost
 from echelon.flocking.road_riders import (
@@ -85,10 +85,11 @@ def lane_cost(
                 cost += TOO_NEAR * wp.clamp(rules.side_clearance - room, 0.0, rules.side_clearance)
                 if room < wp.min(PASSING_CLEARANCE, room_now - 0.05):
                     between = wp.float32(IN_BETWEEN)
-            if is_before(other, rider, ahead) and apart(here, claimed_by(other, riders)) < width + SIDE_MARGIN:
+            if is_before(other, rider, ahead):
                 lead = lead_speed(other, riders)
                 fastest = follow_speed(ahead - rules.body_length, lead, riders.along[rider], rules)
-                slower = wp.max(slower, pace - fastest)
+                clear = clear_of(apart(here, claimed_by(other, riders)) - width)
+                slower = wp.max(slower, pace - fastest - CLEAR_OF * clear)
     return cost + between + wp.min(slower, SLOWEST_COUNTED)
 
 

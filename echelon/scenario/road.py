@@ -175,7 +175,7 @@ class UserSettings:
     by: Literal["time", "distance"] = "time"
     keys: Annotated[tuple[tuple[float, float, float], ...], Within(at_least=-1e6, at_most=1e6)] = ((0.0, 10.5, 0.0),)
     ahead: Annotated[float, Within("m", at_least=-1e4, at_most=1e4)] = 8.0
-    power: Annotated[float, Within("W", above=0, at_most=5000)] = 280.0
+    power: Annotated[float, Within("W", above=0, at_most=5000)] = 360.0
     mass: Annotated[float, Within("kg", above=0, at_most=1000)] = 88.0
     drag_area: Annotated[float, Within("m^2", at_least=0, at_most=10)] = 0.29
     max_acceleration: Annotated[float, Within("m/s^2", above=0, at_most=50)] = 1.0

@@ -49,13 +49,14 @@ _OUTSIDE = wp.constant(-1.0e30)
 
 @wp.struct
 class Placement:
-    """Where a triangle lies on the map: its first corner, and the matrix from there to barycentric weights.
+    """A triangle: where it lies on the map, as its first corner and the matrix from there to barycentric weights.
 
     Attributes:
         x, y: First corner, relative to the origin [m].
         xx, xy: Weight of the second corner is xx dx + xy dy [1/m].
         yx, yy: Weight of the third corner is yx dx + yy dy [1/m].
         bulge: What smooth heights need to pass through the surface in the middle [m].
+        a, b, c: Its corners.
     """
 
     x: wp.float32
@@ -65,6 +66,9 @@ class Placement:
     yx: wp.float32
     yy: wp.float32
     bulge: wp.float32
+    a: wp.int32
+    b: wp.int32
+    c: wp.int32
 
 
 @wp.struct
@@ -92,7 +96,6 @@ class GroundTree:
         nodes: Nodes beneath them, four by four,               shape [nodes]
         lists: Of each leaf how many triangles and which,      shape [leaves + members]
         placements: Where triangles lie,                       shape [triangles]
-        corners: Points of triangles,                          shape [triangles]
         points: Corners,                                       shape [points]
         origin: Middle of the map [m].
         low, high: South-western and north-eastern corners of the map, relative to the origin [m].
@@ -104,7 +107,6 @@ class GroundTree:
     nodes: wp.array[wp.int32]
     lists: wp.array[wp.int32]
     placements: wp.array[Placement]
-    corners: wp.array[wp.vec3i]
     points: wp.array[GroundPoint]
     origin: wp.vec3d
     low: wp.vec2
@@ -149,10 +151,9 @@ def ground_weights(placement: Placement, x: wp.float64, y: wp.float64) -> wp.vec
 
 
 @wp.func
-def ground_shape(ground: GroundTree, triangle: int, weights: wp.vec3) -> wp.vec3:
+def ground_shape(ground: GroundTree, triangle: Placement, weights: wp.vec3) -> wp.vec3:
     """Height relative to the origin [m] and gradient at barycentric weights, as `smooth_height` has them."""
-    corner = ground.corners[triangle]
-    a, b, c = ground.points[corner[0]], ground.points[corner[1]], ground.points[corner[2]]
+    a, b, c = ground.points[triangle.a], ground.points[triangle.b], ground.points[triangle.c]
     ab, bc, ca = wp.vec2(b.x - a.x, b.y - a.y), wp.vec2(c.x - b.x, c.y - b.y), wp.vec2(a.x - c.x, a.y - c.y)
     # Bezier coefficients relative to the first corner's height, so that nothing is lost on a mountain.
     height_b, height_c = b.z - a.z, c.z - a.z
@@ -164,7 +165,7 @@ def ground_shape(ground: GroundTree, triangle: int, weights: wp.vec3) -> wp.vec3
     cca = height_c + third * (c.slope_x * ca[0] + c.slope_y * ca[1])
     ccb = height_c - third * (c.slope_x * bc[0] + c.slope_y * bc[1])
     abc = 0.25 * (aab + aac + bba + bbc + cca + ccb) - (height_b + height_c) / 6.0
-    abc += ground.placements[triangle].bulge
+    abc += triangle.bulge
 
     u, v, w = weights[0], weights[1], weights[2]
     rise = v * v * v * height_b + w * w * w * height_c + 6.0 * u * v * w * abc
@@ -204,7 +205,7 @@ def ground_below(ground: GroundTree, point: wp.vec3d) -> wp.vec3:
     if nearest < 0.0:  # in no triangle, or on an edge and rounded out of both
         weights = wp.vec3(wp.max(weights[0], 0.0), wp.max(weights[1], 0.0), wp.max(weights[2], 0.0))
         weights = weights / (weights[0] + weights[1] + weights[2])
-    shape = ground_shape(ground, triangle, weights)
+    shape = ground_shape(ground, ground.placements[triangle], weights)
     if nearest < _EDGE:
         shape = wp.vec3(shape[0], 0.0, 0.0)
     if held_x != x:
@@ -235,7 +236,6 @@ class Quadtree:
         columns, rows: Cells of the table.
         roots, nodes, lists: The tree.
         placements: Of triangles, structured as `Placement`, shape [triangles].
-        corners: Points of triangles, shape [triangles, 3].
         points: Structured as `GroundPoint`, shape [points].
         given: Number of each triangle in the order of the meshes, shape [triangles].
     """
@@ -250,7 +250,6 @@ class Quadtree:
     nodes: np.ndarray
     lists: np.ndarray
     placements: np.ndarray
-    corners: np.ndarray
     points: np.ndarray
     given: np.ndarray
 
@@ -293,10 +292,9 @@ class Quadtree:
         lists[heads] = counts
         lists[np.delete(np.arange(len(lists)), heads)] = members
         roots, nodes = (
-            np.where(part < 0, -1 - heads[np.minimum(-1 - part, len(heads) - 1)], part).astype(np.int32)
-            for part in (roots, nodes)
+            np.where(part < 0, -1 - heads[np.maximum(-1 - part, 0)], part).astype(np.int32) for part in (roots, nodes)
         )
-        tree = (roots, nodes, lists, placements, corners.astype(np.int32), structured, given)
+        tree = (roots, nodes, lists, placements, structured, given)
         return cls(origin, low, high, cell, columns, rows, *tree)
 
     def data(self, device: wp.DeviceLike = None) -> GroundTree:
@@ -309,7 +307,6 @@ class Quadtree:
         ground.roots, ground.nodes = copied(self.roots, wp.int32), copied(self.nodes, wp.int32)
         ground.lists = copied(self.lists, wp.int32)
         ground.placements = copied(self.placements, Placement)
-        ground.corners = copied(self.corners, wp.vec3i)
         ground.points = copied(self.points, GroundPoint)
         ground.origin = wp.vec3d(*self.origin.tolist())
         ground.low, ground.high = wp.vec2(*self.low.tolist()), wp.vec2(*self.high.tolist())
@@ -335,6 +332,7 @@ def _placements(places: np.ndarray, corners: np.ndarray, bulges: np.ndarray) -> 
     placements["xx"], placements["xy"] = ac[:, 1] / determinant, -ac[:, 0] / determinant
     placements["yx"], placements["yy"] = -ab[:, 1] / determinant, ab[:, 0] / determinant
     placements["bulge"] = bulges
+    placements["a"], placements["b"], placements["c"] = corners.T
     return placements
 
 

@@ -230,7 +230,8 @@ class RoadSurfaces:
         """Flat triangles to be drawn: "road", "verge" and "land", which meet and do not overlap.
 
         Args:
-            tolerance: Greatest distance of road and verge from the surface [m].
+            tolerance: Greatest distance of the asphalt from the surface, and of the lines along the verge [m];
+                across, verge and shoulder are each drawn flat.
             land_tolerance: Of the land, which is coarser the farther it is from the road [m].
 
         Returns:

@@ -99,12 +99,12 @@ def test_camera_keeps_everybody_in_the_picture_and_moves_smoothly() -> None:
     dog = np.zeros((frames, 1, 3))
     dog[:, 0, 0] = np.linspace(60.0, 4.0, frames)
     move = camera.framed(herd, dog, rate)
-    assert np.allclose(move.axes @ move.axes.T, np.eye(3))
-    assert np.isclose(np.linalg.det(move.axes), 1.0)
+    axes = Rotation.from_quat(move.orientations[0]).as_matrix().T
+    assert move.orientations.shape == (1, 4)
     seen = np.concatenate(
         [herd, np.where(np.abs(dog[:, :, :1] - herd.mean(axis=1)[:, None, :1]) < 12.0, dog, herd[:, :1])], 1
     )
-    across = (seen - move.positions[:, None]) @ move.axes.T
+    across = (seen - move.positions[:, None]) @ axes.T
     depth = -across[..., 2]
     assert depth.min() > 0.0
     for axis, aperture in enumerate(camera.APERTURE):

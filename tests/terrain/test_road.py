@@ -95,8 +95,19 @@ def there_and_back() -> RoadSurfaces:
     return through_land([*east, *turn, *back, *other], True)
 
 
-ROADS = [winding, sharp, hairpin, crossing, there_and_back]
 Make = Callable[[], RoadSurfaces]
+
+STEPS: dict[Make, float] = {
+    winding: LAND_TOLERANCE,
+    sharp: LAND_TOLERANCE,
+    crossing: LAND_TOLERANCE,
+    # Where shoulders are narrowed and end on one another at an acute angle, their surfaces agree less closely.
+    hairpin: 0.008,
+    there_and_back: 0.015,
+}
+"""Greatest step of the ground, and error of its triangles, on and beside each road [m]."""
+
+ROADS = list(STEPS)
 
 
 def around(surfaces: RoadSurfaces, count: int, seed: int) -> np.ndarray:
@@ -118,7 +129,7 @@ def test_a_level_straight_road_is_level_and_straight():
     surfaces = RoadSurfaces(line, HALF_WIDTH, 1.0, lambda xy: np.full(xy.shape[:-1], 2.0), land_margin=30.0)
     across = np.array([[60.0, y] for y in (-5.0, -4.0, 0.0, 2.5, 5.0)])
     np.testing.assert_allclose(surfaces.height(across), 3.0, atol=1e-3)
-    np.testing.assert_allclose(surfaces.normal(across[1:4]), np.tile([0.0, 0.0, 1.0], (3, 1)), atol=1e-3)
+    np.testing.assert_allclose(surfaces.normal(across[1:4]), np.tile([0.0, 0.0, 1.0], (3, 1)), atol=3e-3)
     np.testing.assert_allclose(surfaces.height(np.array([[60.0, 9.0], [60.0, -20.0], [60.0, 900.0]])), 2.0, atol=1e-6)
     # The shoulder goes down smoothly, half way in its middle.
     assert surfaces.height(np.array([60.0, 7.0])) == pytest.approx(2.5, abs=5e-3)
@@ -166,10 +177,13 @@ def test_wheels_feel_the_surfaces_everywhere(make: Make):
     terrain = RoadTerrain.of(surfaces, "cpu")
     places = around(surfaces, 20_000, 1)
     error = np.abs(felt(terrain, places) - surfaces.height(places))
-    # Where strips overlap either may be asked; they agree as closely.
-    assert error.max() < (2.5 if make in (hairpin, crossing, there_and_back) else 1.0) * GROUND_TOLERANCE
+    paved = surfaces.on_road(places)
+    assert paved.sum() > 2000
+    assert error[paved].max() < (ROAD_TOLERANCE if STEPS[make] == LAND_TOLERANCE else STEPS[make])
+    assert np.quantile(error[paved], 0.99) < ROAD_TOLERANCE
+    assert error.max() < STEPS[make]
     slope = np.linalg.norm(planes(terrain, places)[:, :3] - surfaces.normal(places), axis=1)
-    assert np.quantile(slope, 0.99) < 0.01
+    assert np.quantile(slope, 0.99) < 0.025  # on shoulders, which fall off steeply here
     assert slope.max() < 0.08  # where the share of a shoulder is kinked by a narrowing
 
 
@@ -191,8 +205,9 @@ def test_no_step_anywhere(make: Make):
     plane = planes(terrain, places)
     rise = -np.sum(plane[:, :2] * step, axis=1) / plane[:, 2]
     jump = np.abs(felt(terrain, places + step) - felt(terrain, places) - rise)
-    assert np.quantile(jump, 0.99) < 0.2 * GROUND_TOLERANCE
-    assert jump.max() < 2.0 * GROUND_TOLERANCE
+    assert np.quantile(jump, 0.99) < 0.25 * ROAD_TOLERANCE
+    assert jump.max() < STEPS[make]
+    assert jump[surfaces.on_road(places)].max() < 1.5 * ROAD_TOLERANCE
 
 
 def test_a_wheel_rolls_smoothly():
@@ -224,7 +239,7 @@ def test_there_is_ground_beyond_the_land():
     surfaces = winding()
     terrain = RoadTerrain.of(surfaces, "cpu")
     far = np.array([[1.0e4, 0.0], [0.0, -3.0e3], [-1.0e6, 1.0e6]])
-    np.testing.assert_allclose(felt(terrain, far), surfaces.height(far), atol=GROUND_TOLERANCE)
+    np.testing.assert_allclose(felt(terrain, far), surfaces.height(far), atol=LAND_TOLERANCE)
     np.testing.assert_allclose(planes(terrain, far)[:, :3], surfaces.normal(far), atol=5e-3)
 
 
@@ -264,7 +279,7 @@ def test_drawn_meshes_cover_the_map_once(make: Make):
 def test_drawn_meshes_are_near_the_ground():
     surfaces = winding()
     road, verge, land = surfaces.display(0.03)
-    for mesh, tolerance in ((road, 0.03), (verge, 0.06), (land, 1.0)):
+    for mesh, tolerance in ((road, 0.03), (verge, 0.15), (land, 1.0)):
         np.testing.assert_allclose(surfaces.height(mesh.points[:, :2]), mesh.points[:, 2], atol=2e-3)
         middle = mesh.points[mesh.triangles].mean(axis=1)
         assert np.abs(surfaces.height(middle[:, :2]) - middle[:, 2]).max() < tolerance
