@@ -211,13 +211,23 @@ def _numbers(value: Any) -> Iterable[float]:
 
 # ---- to TOML -------------------------------------------------------------------------------------------------------
 def _toml_table(data: Mapping[str, Any], path: str) -> list[str]:
-    """Lines of one table: its own values first, as TOML asks, then its tables."""
-    lines = [f"{_toml_key(k)} = {_toml_value(v)}" for k, v in data.items() if not isinstance(v, Mapping)]
+    """Lines of one table: its own values first, as TOML asks, then its tables and lists of tables."""
+    lines: list[str] = []
     for key, value in data.items():
+        if not isinstance(value, Mapping) and not _are_tables(value):
+            lines.append(f"{_toml_key(key)} = {_toml_value(value)}")
+    for key, value in data.items():
+        inner = f"{path}.{_toml_key(key)}" if path else _toml_key(key)
         if isinstance(value, Mapping):
-            inner = f"{path}.{_toml_key(key)}" if path else _toml_key(key)
             lines += ["", f"[{inner}]", *_toml_table(value, inner)]
+        elif _are_tables(value):
+            for entry in value:
+                lines += ["", f"[[{inner}]]", *_toml_table(entry, inner)]
     return lines
+
+
+def _are_tables(value: Any) -> bool:
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(entry, Mapping) for entry in value)
 
 
 def _toml_key(key: str) -> str:

@@ -43,7 +43,7 @@ def test_started_in_phase_they_hop_out_of_phase_after_ten_seconds(population: in
     plan = Scenario.load("herd", ["crowd.in_phase=true", "seconds=14", f"population_seed={population}"])
     recording = run(plan, tmp_path)
     touchdowns = events(recording, "touchdown")
-    time = touchdowns["frame"] / 30.0 + touchdowns["substep"] / (30.0 * plan.engine.substeps_at(30, 720))
+    time = touchdowns["frame"] / 30.0 + touchdowns["substep"] / (30.0 * plan.engine.stride(30, 720, 6)[0])
 
     def phases(at: float) -> np.ndarray:
         found = []

@@ -371,6 +371,7 @@ class Bicycle:
     parameters: Mapping[str, float] = {}
     # Measured: the benchmark's eigenvalues are within 2.2 % of ideal at 1/1200 s, 2.8 % at 1/720 s, 1.4 % at 1/4800 s.
     steps_per_second: int = 1200
+    steps_per_tick: int = 10
     memory: Mapping[str, float] = {
         "phase": ROLLING,
         "fallen": 0.0,

@@ -16,13 +16,20 @@ from dataclasses import fields
 from importlib import resources
 from pathlib import Path
 
+from echelon.agents.bicycle import Bicycle, racing_bicycle
 from echelon.agents.hopper import hopper_model
+from echelon.agents.rider_body import RiderParameters, cyclist_model
 from echelon.agents.sdfast import read_sdfast
 from echelon.errors import InputError
 from echelon.warp_kernels.model import Model, ModelError
 from echelon.warp_kernels.reference import Body
 
-_BUILT: Mapping[str, Callable[[], Model]] = {"hopper": hopper_model}
+_BUILT: Mapping[str, Callable[[], Model]] = {
+    "hopper": hopper_model,
+    "bicycle": lambda: Bicycle(racing_bicycle()).body,
+    "cyclist": lambda: cyclist_model(RiderParameters(), racing_bicycle(), fifteen_segments=False),
+    "cyclist-1995": lambda: cyclist_model(RiderParameters(), racing_bicycle(), fifteen_segments=True),
+}
 _MEASURED = resources.files("echelon.agents") / "bodies"
 
 

@@ -173,6 +173,7 @@ class Cyclist:
     }
     # Measured: gaits, gaps and balance of power are the same at 480 and at 2400 a second; at 360 springs break.
     steps_per_second: int = 900
+    steps_per_tick: int = 10
 
     def __init__(
         self,

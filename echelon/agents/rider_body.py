@@ -288,12 +288,13 @@ def rider_sites(rider: RiderParameters, bicycle: BicycleParameters, *, head_and_
         if head_and_hands
         else ("helmet", TRUNK, (0.05, 0.0, 0.60), (0.12, 0.12, 0.12), 1.0),
     ]
-    for side, sign in SIDES:
+    # One flat ellipsoid for the bars, from end to end.
+    bars = (bicycle.grip[0] - stem[0] - 0.03, 0.0, bicycle.grip[2] - stem[2] - 0.03)
+    places.append(("bars", FORK, bars, (0.06, bicycle.grip[1] + 0.04, 0.05), 0.3))
+    for side, _ in SIDES:
         # Long ellipsoids: from knee to ankle, from elbow to hand.
         shin, arm = 0.5 * rider.lower_leg_length / stature, 0.5 * rider.lower_arm_length / stature
         places.append((f"{side}_shin", f"{side}_lower_leg", (0.0, 0.0, -shin), (0.06, 0.06, shin + 0.08), 0.5))
-        bar = (bicycle.grip[0] - stem[0], sign * (bicycle.grip[1] + 0.01), bicycle.grip[2] - stem[2])
-        places.append((f"{side}_bar", FORK, bar, (0.03, 0.03, 0.03), 0.3))
         places.append((f"{side}_forearm", f"{side}_lower_arm", (0.0, 0.0, -arm), (0.045, 0.045, arm + 0.03), 0.15))
     grounded = [
         ContactSite(

@@ -33,6 +33,7 @@ class ServoedBody:
     events: tuple[str, ...] = ()
     records: tuple[str, ...] = ()
     steps_per_second: int = 1200
+    steps_per_tick: int = 10
     memory: Mapping[str, float] = {"phase": 0.0, "fallen": 0.0, "loaded": 0.0}
 
     def __init__(self, body: Body, stiffness: float | Sequence[float], damping: float | Sequence[float]) -> None:

@@ -20,8 +20,8 @@ from echelon.warp_kernels.frame import Terrain
 from echelon.warp_kernels.program import Integrator
 from echelon.warp_kernels.start import start_warp
 
-RIDING_STRIDE = Stride(substeps=40, tick=10)
-"""1/1200 s, which the springs at hands and feet need; a control tick every 1/120 s."""
+RIDING_STRIDE = Stride(substeps=30, tick=10)
+"""That of scenarios: 1/900 s, which the springs at hands and feet need; a control tick every 1/90 s."""
 
 RIDING_SPEED = 6.0  # [m/s]
 LOOK_AHEAD = 9.0  # to the point that they steer for: a second and a half away [m]

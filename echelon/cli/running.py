@@ -68,7 +68,7 @@ def _expected_seconds(plan: Scenario) -> float:
     character = character_named(plan.crowd.character)
     # Work grows with the number of speeds; a hopper has 10 and takes some 30 ns a substep.
     per_substep = 3e-9 * character.body.u_count * (4.0 if plan.engine.integrator == "rk4" else 1.0)
-    substeps = plan.engine.substeps_at(plan.frame_rate, character.steps_per_second)
+    substeps, _ = plan.engine.stride(plan.frame_rate, character.steps_per_second, character.steps_per_tick)
     return 1.0 + plan.step_count * (1e-4 + plan.crowd.count * substeps * per_substep)
 
 

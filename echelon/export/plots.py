@@ -2,46 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.spatial import KDTree
 
 from echelon.errors import InputError
-from echelon.export.light import display_encoded
-from echelon.export.picture_files import checked_path, replacing
+from echelon.export.picture_files import checked_path
+from echelon.export.plot_page import (
+    FAINT,
+    INK,
+    RED,
+    STEEL,
+    SUFFIXES,
+    finish,
+    line_colors,
+    new_page,
+    sampled_frames,
+    write_page,
+)
+from echelon.export.ride_plots import ride_page
+from echelon.export.road_scene import is_road
 from echelon.recording import Recording
-
-PAGE = (11.69, 8.27)  # [inch], A4 across
-DOTS_PER_INCH = 150
-SUFFIXES = (".png", ".pdf", ".svg")
-SAMPLE_LIMIT = 1500  # frames that are read, at most: a page shows no more
 
 RASTER_SECONDS = 20.0  # [s] of touchdowns that are shown: single hops must be told apart
 _RASTER_POINTS = 180.0  # height of that panel, about [point]
 
-_INK = "#30363d"
-_FAINT = "#9aa4ad"
-_STEEL = "#2f6f9f"
-_RED = "#c0182b"
 _FENCE = "#8a5a33"
 _BODY_RADIUS = 0.35  # [m] where the scenario does not say
-
-# A file that is written twice is the same: no dates, no random ids.
-_METADATA: Mapping[str, dict[str, Any]] = {
-    ".png": {"Software": None},
-    ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-    ".svg": {"Date": None, "Creator": None},
-}
 
 
 @dataclass(frozen=True)
@@ -66,7 +58,10 @@ class _Samples:
 
 
 def plot_run(recording: Recording, path: str | Path) -> Path:
-    """Write a page of plots: paths from above, speeds, touchdowns, distances between neighbours, how many are penned.
+    """Write a page of plots.
+
+    Of a herd: paths from above, speeds, touchdowns, distances between neighbours, how many are penned. Of a ride: the
+    course from above, and along its profile speeds, powers, gaps, offsets and lean.
 
     Args:
         recording: What happened.
@@ -78,11 +73,11 @@ def plot_run(recording: Recording, path: str | Path) -> Path:
     target = checked_path(path, SUFFIXES)
     if recording.frame_count < 1:
         raise InputError(f"{recording.path}: has no frames yet, so there is nothing to plot")
+    if is_road(recording.world):
+        return write_page(ride_page(recording), target)
     samples = _read(recording)
-    colors = _colors(recording)
-    figure = Figure(figsize=PAGE, dpi=DOTS_PER_INCH, layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(_title(recording), x=0.012, ha="left", fontsize=12, color=_INK)
+    colors = line_colors(recording)
+    figure = new_page(recording)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.3, 1.0), height_ratios=(1.5, 1.0))
     upper_right = grid[0, 1].subgridspec(2, 1)
     _draw_paths(figure.add_subplot(grid[0, 0]), recording, samples, colors)
@@ -94,18 +89,12 @@ def plot_run(recording: Recording, path: str | Path) -> Path:
         _draw_penned(last, recording, samples)
     else:
         _draw_spread(last, samples)
-    with replacing(target) as beside:
-        suffix = target.suffix.lower()
-        with rc_context({"svg.hashsalt": "echelon"}):
-            figure.savefig(beside, format=suffix[1:], metadata=_METADATA[suffix])
-    return target
+    return write_page(figure, target)
 
 
 # ---- what is read --------------------------------------------------------------------------------------------------
 def _read(recording: Recording) -> _Samples:
-    count = recording.frame_count
-    step = max(-(-count // SAMPLE_LIMIT), 1)
-    frames = np.unique(np.append(np.arange(0, count, step), count - 1))
+    frames = sampled_frames(recording)
     return _Samples(
         times=frames / recording.frame_rate,
         places=np.asarray(recording.link_poses[frames, :, 0, :2], dtype=np.float64),
@@ -114,26 +103,6 @@ def _read(recording: Recording) -> _Samples:
         desired=np.linalg.norm(np.asarray(recording.desired_velocities[frames]), axis=2),
         in_corral=np.asarray(recording.in_corral[frames]),
     )
-
-
-def _colors(recording: Recording) -> np.ndarray:
-    """Colours of all agents for lines on white, so a little darker than they are drawn; shape [agents, 3]."""
-    colors = np.full((recording.agent_count, 3), 0.5)
-    for cast in recording.casts:
-        colors[cast.first_agent : cast.first_agent + cast.agent_count] = cast.colors
-    return 0.88 * display_encoded(colors)
-
-
-def _title(recording: Recording) -> str:
-    summary = recording.summary
-    seconds = (recording.frame_count - 1) / recording.frame_rate
-    parts = [
-        str(recording.scenario.get("title") or recording.scenario.get("name", "run")),
-        f"{recording.agent_count} agents",
-        f"{seconds:.1f} s",
-    ]
-    parts += [f"{summary[key]} {key}" for key in ("falls", "collisions") if key in summary]
-    return "   ·   ".join(parts)
 
 
 # ---- panels --------------------------------------------------------------------------------------------------------
@@ -146,18 +115,18 @@ def _draw_paths(axes: Axes, recording: Recording, samples: _Samples, colors: np.
     axes.add_collection(LineCollection(list(paths), colors=colors, linewidths=0.9, alpha=0.75))
     rings = [(float(red), float(green), float(blue)) for red, green, blue in colors]
     axes.scatter(*samples.places[0].T, s=10, facecolors="white", edgecolors=rings, linewidths=0.9, zorder=3)
-    axes.scatter(*samples.places[-1].T, s=22, c=colors, edgecolors=_INK, linewidths=0.5, zorder=4)
+    axes.scatter(*samples.places[-1].T, s=22, c=colors, edgecolors=INK, linewidths=0.5, zorder=4)
     for index, actor in enumerate(recording.actors):
         x, y = samples.actors[:, index].T
-        axes.plot(x, y, color=_INK, linewidth=0.9, linestyle=(0, (4, 2)), label=actor.name)
-        axes.plot(x[-1:], y[-1:], marker="D", markersize=5, color=_INK)
-    axes.plot([], [], "o", markersize=3.5, markerfacecolor="white", markeredgecolor=_INK, label="start")
-    axes.plot([], [], "o", markersize=5, color=_FAINT, markeredgecolor=_INK, markeredgewidth=0.5, label="end")
+        axes.plot(x, y, color=INK, linewidth=0.9, linestyle=(0, (4, 2)), label=actor.name)
+        axes.plot(x[-1:], y[-1:], marker="D", markersize=5, color=INK)
+    axes.plot([], [], "o", markersize=3.5, markerfacecolor="white", markeredgecolor=INK, label="start")
+    axes.plot([], [], "o", markersize=5, color=FAINT, markeredgecolor=INK, markeredgewidth=0.5, label="end")
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    _finish(axes, "paths from above")
+    finish(axes, "paths from above")
 
 
 def _draw_speeds(axes: Axes, samples: _Samples) -> None:
@@ -165,7 +134,7 @@ def _draw_speeds(axes: Axes, samples: _Samples) -> None:
     axes.plot(samples.times, samples.desired.mean(axis=1), color="#c2571a", linewidth=1.0, label="desired, mean")
     axes.set_ylabel("m/s")
     axes.set_ylim(0.0, 1.08 * float(max(samples.speeds.max(), samples.desired.mean(axis=1).max(), 0.1)))
-    _finish(axes, "speed", samples.times)
+    finish(axes, "speed", samples.times)
 
 
 def _draw_touchdowns(axes: Axes, recording: Recording, colors: np.ndarray) -> None:
@@ -185,12 +154,12 @@ def _draw_touchdowns(axes: Axes, recording: Recording, colors: np.ndarray) -> No
     )
     fallen = events[events["kind"] == names.index("fall")]
     if len(fallen):
-        axes.plot(fallen["frame"] / recording.frame_rate, fallen["agent"], "x", color=_RED, markersize=5, label="fall")
+        axes.plot(fallen["frame"] / recording.frame_rate, fallen["agent"], "x", color=RED, markersize=5, label="fall")
     axes.set_ylabel("agent")
     axes.set_xlabel("time [s]")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(-0.8, recording.agent_count - 0.2)
-    _finish(axes, "touchdowns" if shown < RASTER_SECONDS else f"touchdowns, first {shown:g} s", np.array([0.0, shown]))
+    finish(axes, "touchdowns" if shown < RASTER_SECONDS else f"touchdowns, first {shown:g} s", np.array([0.0, shown]))
 
 
 def _draw_distances(axes: Axes, recording: Recording, samples: _Samples) -> None:
@@ -198,20 +167,20 @@ def _draw_distances(axes: Axes, recording: Recording, samples: _Samples) -> None
         nearest = np.stack([KDTree(places).query(places, k=2)[0][:, 1] for places in samples.places])
         _draw_band(axes, samples.times, nearest)
     radius = recording.scenario.get("herd", {}).get("radius", _BODY_RADIUS)
-    axes.axhline(2.0 * radius, color=_RED, linewidth=0.9, linestyle=":", label="touching")
+    axes.axhline(2.0 * radius, color=RED, linewidth=0.9, linestyle=":", label="touching")
     axes.set_ylabel("m")
     axes.set_ylim(bottom=0.0)
-    _finish(axes, "nearest neighbour", samples.times)
+    finish(axes, "nearest neighbour", samples.times)
 
 
 def _draw_penned(axes: Axes, recording: Recording, samples: _Samples) -> None:
-    axes.fill_between(samples.times, samples.in_corral, step="mid", color=_STEEL, alpha=0.25, linewidth=0.0)
-    axes.step(samples.times, samples.in_corral, where="mid", color=_STEEL, linewidth=1.2)
+    axes.fill_between(samples.times, samples.in_corral, step="mid", color=STEEL, alpha=0.25, linewidth=0.0)
+    axes.step(samples.times, samples.in_corral, where="mid", color=STEEL, linewidth=1.2)
     axes.set_ylabel("agents")
     axes.set_xlabel("time [s]")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(0.0, recording.agent_count * 1.05)
-    _finish(axes, "in the corral", samples.times)
+    finish(axes, "in the corral", samples.times)
 
 
 def _draw_spread(axes: Axes, samples: _Samples) -> None:
@@ -220,35 +189,12 @@ def _draw_spread(axes: Axes, samples: _Samples) -> None:
     axes.set_ylabel("m")
     axes.set_xlabel("time [s]")
     axes.set_ylim(bottom=0.0)
-    _finish(axes, "distance to the middle of the herd", samples.times)
+    finish(axes, "distance to the middle of the herd", samples.times)
 
 
 def _draw_band(axes: Axes, times: np.ndarray, values: np.ndarray) -> None:
     """Range, middle half and median over agents of values [samples, agents]."""
     low, lower, middle, upper, high = np.percentile(values, (0, 25, 50, 75, 100), axis=1)
-    axes.fill_between(times, low, high, color=_STEEL, alpha=0.15, linewidth=0.0, label="range")
-    axes.fill_between(times, lower, upper, color=_STEEL, alpha=0.35, linewidth=0.0, label="middle half")
-    axes.plot(times, middle, color=_STEEL, linewidth=1.2, label="median")
-
-
-def _finish(axes: Axes, title: str, times: np.ndarray | None = None) -> None:
-    axes.set_title(title, loc="left", fontsize=9, color=_INK)
-    axes.tick_params(labelsize=7, colors=_INK)
-    axes.xaxis.label.set_fontsize(8)
-    axes.yaxis.label.set_fontsize(8)
-    axes.grid(color=_FAINT, alpha=0.25, linewidth=0.5)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            borderaxespad=0.1,
-            frameon=False,
-            fontsize=7,
-            ncols=5,
-            handlelength=1.4,
-            columnspacing=1.0,
-        )
-    if times is not None and times[-1] > times[0]:
-        axes.set_xlim(times[0], times[-1])
+    axes.fill_between(times, low, high, color=STEEL, alpha=0.15, linewidth=0.0, label="range")
+    axes.fill_between(times, lower, upper, color=STEEL, alpha=0.35, linewidth=0.0, label="middle half")
+    axes.plot(times, middle, color=STEEL, linewidth=1.2, label="median")

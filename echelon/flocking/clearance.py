@@ -4,6 +4,7 @@
 it lacks. The speed of who is ahead is what it rides or what it is about to ride, whichever is less: who follows slows
 with who leads, not after. Who is ahead in the same line is whoever takes up, or is about to take up, some of the same
 breadth of road and comes before. So two who want the same place do not ride into it together: the one behind yields.
+Places are compared with places and plans with plans: in a corner all riders drift to the same side together.
 
 **Beside.** Everyone whose body is beside one's own, or is about to be, bounds the room to move on that side. Where the
 bounds leave nothing, a rider stays in the middle between them.
@@ -23,10 +24,10 @@ from echelon.flocking.road_riders import (
     RidersSeen,
     RoadRiders,
     RoadRules,
-    claimed_by,
     half_width_of,
     is_before,
-    taken_by,
+    planned_lane,
+    planned_target,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -38,6 +39,7 @@ ANTICIPATED = wp.constant(1.5)  # [s]; the gap counts as what will be left of it
 FORESEEN = wp.constant(0.7)  # [m/s]
 DROP_BACK = wp.constant(2.0)  # [m/s]; never slower than who is ahead by more than this
 YIELD = wp.constant(1.2)  # [m/s]; the same where one only means to move behind another
+SHARED = wp.constant(0.6)  # part of what two are too near that one of them moves away by
 BESIDE = wp.constant(0.4)  # [m]; a body so little ahead or behind counts as beside...
 BESIDE_TIME = wp.constant(1.0)  # [s]; ... or one that will be so soon
 
@@ -65,9 +67,17 @@ def lead_speed(other: int, riders: RoadRiders) -> float:
 
 
 @wp.func
-def apart(a: wp.vec2, b: wp.vec2) -> float:
-    """Distance between two intervals (least, greatest), negative where they overlap."""
-    return wp.max(a[0] - b[1], b[0] - a[1])
+def nearer(a: float, b: float) -> float:
+    """The one of two gaps that is smaller, none where they have different signs: in between is a crossing."""
+    if a * b <= 0.0:
+        return 0.0
+    return wp.where(wp.abs(a) < wp.abs(b), a, b)
+
+
+@wp.func
+def gap_to_plan(lane: float, other: int, riders: RoadRiders) -> float:
+    """From an offset to where the plan of another has it, now or later, whichever is nearer [m]."""
+    return nearer(planned_lane(other, riders) - lane, planned_target(other, riders) - lane)
 
 
 @wp.func
@@ -83,10 +93,6 @@ def clear_of(room: float) -> float:
 def speed_behind_others(rider: int, rules: RoadRules, seen: RidersSeen, riders: RoadRiders) -> float:
     """Greatest speed along the road that those ahead allow [m/s]."""
     limit = float(NO_LIMIT)
-    offset = riders.offset[rider]
-    lane = riders.lane[rider]
-    own = wp.vec2(wp.min(offset, lane), wp.max(offset, lane))
-    meant = wp.vec2(wp.min(own[0], riders.target[rider]), wp.max(own[1], riders.target[rider]))
     for k in range(seen.found[rider]):
         other = seen.indices[rider, k]
         ahead = seen.ahead[rider, k]
@@ -94,11 +100,13 @@ def speed_behind_others(rider: int, rules: RoadRules, seen: RidersSeen, riders: 
             lead = lead_speed(other, riders)
             fastest = follow_speed(ahead - rules.body_length, lead, riders.along[rider], rules)
             if fastest < limit:
-                claimed = claimed_by(other, riders)
                 width = rules.body_half_width + half_width_of(other, rules, riders)
-                limit = wp.min(limit, fastest + CLEAR_OF * clear_of(apart(own, claimed) - width))
-                meaning = wp.max(fastest, lead - YIELD)
-                limit = wp.min(limit, meaning + CLEAR_OF * clear_of(apart(meant, claimed) - width))
+                now = nearer(
+                    riders.offset[other] - riders.offset[rider], gap_to_plan(riders.lane[rider], other, riders)
+                )
+                limit = wp.min(limit, fastest + CLEAR_OF * clear_of(wp.abs(now) - width))
+                later = nearer(now, gap_to_plan(riders.target[rider], other, riders))
+                limit = wp.min(limit, wp.max(fastest, lead - YIELD) + CLEAR_OF * clear_of(wp.abs(later) - width))
     return limit
 
 
@@ -133,10 +141,11 @@ def room_between_others(
     for k in range(seen.found[rider]):
         other = seen.indices[rider, k]
         if is_beside(rider, other, seen.ahead[rider, k], BESIDE_TIME, rules, riders):
-            taken = taken_by(other, riders)
             least = rules.body_half_width + half_width_of(other, rules, riders) + clearance
+            between = riders.offset[other] - riders.offset[rider]
+            beside = planned_lane(other, riders)
             if is_left(other, rider, riders):
-                high = wp.min(high, taken[0] - least)
+                high = wp.min(high, wp.min(beside - least, riders.lane[rider] + SHARED * (between - least)))
             else:
-                low = wp.max(low, taken[1] + least)
+                low = wp.max(low, wp.max(beside + least, riders.lane[rider] + SHARED * (between + least)))
     return wp.vec2(low, high)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from echelon.flocking.clearance import CLEAR_OF, apart, clear_of, follow_speed, is_beside, is_left, lead_speed
+from echelon.flocking.clearance import CLEAR_OF, clear_of, follow_speed, gap_to_plan, is_beside, is_left, lead_speed
 from echelon.flocking.corner_speeds import CornerSpeeds, corner_speed
 from echelon.flocking.road_obstacles import BLOCKED, RoadObstacles, obstacle_cost
 from echelon.flocking.road_riders import (
@@ -28,10 +28,9 @@ from echelon.flocking.road_riders import (
     RidersSeen,
     RoadRiders,
     RoadRules,
-    claimed_by,
     half_width_of,
     is_before,
-    taken_by,
+    planned_lane,
 )
 from echelon.terrain.spline import CentrelineData
 
@@ -67,7 +66,6 @@ def lane_cost(
     """What speaks against riding at an offset [m], for somebody who would like to ride at `pace` [m/s]."""
     cost = AWAY * wp.abs(lane - riders.wanted_offset[rider]) + ACROSS * wp.abs(lane - riders.lane[rider])
     cost += obstacle_cost(lane, rider, rules, path, riders, obstacles)
-    here = wp.vec2(lane, lane)
     slower = wp.float32(0.0)
     between = wp.float32(0.0)
     for k in range(seen.found[rider]):
@@ -76,19 +74,16 @@ def lane_cost(
         if wp.abs(ahead) < LOOK_AHEAD:
             width = rules.body_half_width + half_width_of(other, rules, riders)
             if is_beside(rider, other, ahead, PASSING_TIME, rules, riders):
-                taken = taken_by(other, riders)
-                room = lane - taken[1] - width
-                room_now = riders.lane[rider] - taken[1] - width
-                if is_left(other, rider, riders):
-                    room = taken[0] - lane - width
-                    room_now = taken[0] - riders.lane[rider] - width
+                side = wp.where(is_left(other, rider, riders), 1.0, -1.0)
+                room = side * (planned_lane(other, riders) - lane) - width
+                room_now = side * (planned_lane(other, riders) - riders.lane[rider]) - width
                 cost += TOO_NEAR * wp.clamp(rules.side_clearance - room, 0.0, rules.side_clearance)
                 if room < wp.min(PASSING_CLEARANCE, room_now - 0.05):
                     between = wp.float32(IN_BETWEEN)
             if is_before(other, rider, ahead):
                 lead = lead_speed(other, riders)
                 fastest = follow_speed(ahead - rules.body_length, lead, riders.along[rider], rules)
-                clear = clear_of(apart(here, claimed_by(other, riders)) - width)
+                clear = clear_of(wp.abs(gap_to_plan(lane, other, riders)) - width)
                 slower = wp.max(slower, pace - fastest - CLEAR_OF * clear)
     return cost + between + wp.min(slower, SLOWEST_COUNTED)
 

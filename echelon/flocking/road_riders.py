@@ -284,23 +284,15 @@ def half_width_of(rider: int, rules: RoadRules, riders: RoadRiders) -> float:
 
 
 @wp.func
-def taken_by(other: int, riders: RoadRiders) -> wp.vec2:
-    """Least and greatest offset of where a rider is and where the plan has it now [m]."""
-    offset = riders.offset[other]
-    if riders.presence[other] != RIDING:
-        return wp.vec2(offset, offset)
-    lane = riders.known_lane[other]
-    return wp.vec2(wp.min(offset, lane), wp.max(offset, lane))
+def planned_lane(other: int, riders: RoadRiders) -> float:
+    """Where the plan of another has it now; who has fallen has none [m]."""
+    return wp.where(riders.presence[other] == RIDING, riders.known_lane[other], riders.offset[other])
 
 
 @wp.func
-def claimed_by(other: int, riders: RoadRiders) -> wp.vec2:
-    """The same including where the plan leads [m]."""
-    taken = taken_by(other, riders)
-    if riders.presence[other] != RIDING:
-        return taken
-    target = riders.known_target[other]
-    return wp.vec2(wp.min(taken[0], target), wp.max(taken[1], target))
+def planned_target(other: int, riders: RoadRiders) -> float:
+    """Where the plan of another leads [m]."""
+    return wp.where(riders.presence[other] == RIDING, riders.known_target[other], riders.offset[other])
 
 
 @wp.func

@@ -71,7 +71,7 @@ class EngineSettings:
 
     Attributes:
         substeps: Steps of the dynamics in a frame, a multiple of `tick`; 0 takes as many as the character needs.
-        tick: Substeps between two decisions of a controller.
+        tick: Substeps between two decisions of a controller; 0 takes what suits the character.
         integrator: "semi-implicit" Euler with implicit servos, or "rk4".
         precision: Of the state.
         lanes: Characters advanced together in one SIMD vector; 0 chooses the host's.
@@ -79,7 +79,7 @@ class EngineSettings:
     """
 
     substeps: Annotated[int, Within(at_least=0, at_most=10_000)] = 0
-    tick: Annotated[int, Within(at_least=1, at_most=10_000)] = 6
+    tick: Annotated[int, Within(at_least=0, at_most=10_000)] = 0
     integrator: Literal["semi-implicit", "rk4"] = "semi-implicit"
     precision: Literal["float32"] = "float32"
     lanes: Literal[0, 1, 4, 8, 16] = 0
@@ -87,12 +87,22 @@ class EngineSettings:
 
     def __post_init__(self) -> None:
         adopt(self, "engine")
-        if self.substeps % self.tick:
+        if self.tick and self.substeps % self.tick:
             raise SettingError("engine.tick", f" = {self.tick}: must divide the substeps, {self.substeps}")
 
-    def substeps_at(self, frame_rate: int, steps_per_second: int) -> int:
-        """Steps of the dynamics in a frame at so many frames a second, of a character that needs so many steps."""
-        return self.substeps or self.tick * -(-steps_per_second // (self.tick * frame_rate))
+    def stride(self, frame_rate: int, steps_per_second: int, steps_per_tick: int) -> tuple[int, int]:
+        """How a frame is divided: (substeps, substeps a tick).
+
+        Args:
+            frame_rate: Frames a second.
+            steps_per_second, steps_per_tick: What the character needs and what suits it.
+        """
+        if self.substeps:
+            # The largest tick that divides the frame and is not longer than what suits the character.
+            ticks = (tick for tick in range(min(steps_per_tick, self.substeps), 0, -1) if self.substeps % tick == 0)
+            return self.substeps, self.tick or next(ticks)
+        tick = self.tick or steps_per_tick
+        return tick * -(-steps_per_second // (tick * frame_rate)), tick
 
 
 @dataclass(frozen=True)

@@ -72,13 +72,15 @@ class Simulation:
         self.scenario = scenario
         self.character = character_named(crowd.character)
         self.scene: Scene = Road(scenario, device, world) if scenario.on_road else Field(scenario, device)
+        needs = self.character.steps_per_second, self.character.steps_per_tick
+        substeps, tick = settings.stride(scenario.frame_rate, *needs)
         self.engine = Engine(
             self.character,
             crowd.count,
             self.scene.terrain,
             frame_rate=scenario.frame_rate,
-            substeps=settings.substeps_at(scenario.frame_rate, self.character.steps_per_second),
-            tick=settings.tick,
+            substeps=substeps,
+            tick=tick,
             integrator=settings.integrator,
             lanes=settings.lanes,
             threads=settings.threads if threads is None else threads,

@@ -43,6 +43,7 @@ TABLE_CELL = 16.0  # [m], of the first table, about
 TABLE_LIMIT = 1 << 20  # cells of it, at most: a large map gets larger ones
 DEEPEST = 7  # cuts below the table
 
+_INSIDE = wp.constant(-1.0e-5)  # barycentric weight down to which a point is in a triangle: on an edge it may round out
 _EDGE = wp.constant(-1.0e-4)  # barycentric weight down to which a point counts as on the triangle, where none has it
 _OUTSIDE = wp.constant(-1.0e30)
 
@@ -199,10 +200,10 @@ def ground_below(ground: GroundTree, point: wp.vec3d) -> wp.vec3:
             triangle = candidate
             weights = found
         place += 1
-        if least >= 0.0:
+        if least >= _INSIDE:
             place = end
 
-    if nearest < 0.0:  # in no triangle, or on an edge and rounded out of both
+    if nearest < _INSIDE:
         weights = wp.vec3(wp.max(weights[0], 0.0), wp.max(weights[1], 0.0), wp.max(weights[2], 0.0))
         weights = weights / (weights[0] + weights[1] + weights[2])
     shape = ground_shape(ground, ground.placements[triangle], weights)

@@ -88,6 +88,7 @@ class Character(Protocol):
             which their event happened.
         records: Names of memory variables that recordings keep, as measures.
         steps_per_second: At least so many substeps a second its dynamics and control need [1/s].
+        steps_per_tick: Substeps between two decisions that suit it.
     """
 
     name: str
@@ -99,6 +100,7 @@ class Character(Protocol):
     events: tuple[str, ...]
     records: tuple[str, ...]
     steps_per_second: int
+    steps_per_tick: int
 
     def population(self, count: int, seed: int, variation: float, in_phase: bool) -> Population:
         """Individuals that differ by about `variation`, ready to start; agent i does not depend on the count."""

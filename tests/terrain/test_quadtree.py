@@ -139,6 +139,18 @@ def test_what_comes_first_has_the_right_of_way(mesh: TriangleMesh):
     np.testing.assert_allclose(heights(Quadtree.over([mesh, top]), xy), below, atol=1e-6)
 
 
+def test_no_edge_lets_a_point_through_to_what_lies_below(mesh: TriangleMesh):
+    """On the edge of two triangles a point may be rounded out of both."""
+    top = triangulate(hills(100.3, 199.1, 7.057, lift=5.0), TOLERANCE, smooth=True)
+    random = np.random.default_rng(4)
+    triangle = top.triangles[random.integers(0, len(top.triangles), 20_000)]
+    part = random.uniform(0.0, 1.0, (20_000, 1))
+    places = (part * top.points[triangle[:, 0]] + (1.0 - part) * top.points[triangle[:, 2]])[:, :2]
+    inner = (np.abs(places - FAR[:2] - 150.0) < 48.0).all(axis=1)
+    lifted = heights(Quadtree.over([top, mesh]), places[inner]) - heights(Quadtree.over([mesh]), places[inner])
+    assert lifted.min() > 4.9
+
+
 def test_every_triangle_is_listed_where_it_lies(tree: Quadtree, mesh: TriangleMesh):
     heads = -1 - np.concatenate([tree.roots, tree.nodes])
     heads = heads[heads >= 0]

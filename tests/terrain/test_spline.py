@@ -247,9 +247,13 @@ def test_closest_against_brute_force(make):
     s = random.uniform(0.0, path.length, 300)
     sideways = random.uniform(-3.5, 3.5, 300)
     points = path.position(s)[:, :2] + sideways[:, None] * path.left(s)
-    fine_s = np.linspace(0.0, path.length, int(path.length / 0.01))
-    fine = path.position(fine_s)[:, :2]
-    nearest = np.array([np.sqrt(np.min(np.sum((fine - point) ** 2, axis=1))) for point in points])
+    # All of it every half metre, then every millimetre around the best.
+    coarse_s = np.arange(0.0, path.length, 0.5)
+    coarse = path.position(coarse_s)[:, :2]
+    best = np.array([coarse_s[np.argmin(np.sum((coarse - point) ** 2, axis=1))] for point in points])
+    fine_s = best[:, None] + np.arange(-0.5, 0.5, 0.001)
+    fine = path.position(fine_s if path.closed else np.clip(fine_s, 0.0, path.length))[..., :2]
+    nearest = np.linalg.norm(fine - points[:, None], axis=2).min(axis=1)
     near = s + random.uniform(-1.5, 1.5, 300)
     host_s, host_offset = path.closest(points)
     walked_s, walked_offset = path.closest(points, near=s)
