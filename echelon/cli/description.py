@@ -16,11 +16,13 @@ from echelon.warp_kernels.model import Model
 
 
 def shipped() -> dict[str, dict[str, str]]:
-    """What ships: for "scenarios", "bodies" and "characters" each name and a line about it."""
+    """What ships: for "scenarios", "courses", "bodies" and "characters" each name and a line about it."""
     from echelon.agents.bodies import body_names, load_body
+    from echelon.terrain.course import course_names, course_path
 
     return {
         "scenarios": {name: Scenario.load(name).title for name in scenario_names()},
+        "courses": {name: tomllib.loads(course_path(name).read_text("utf-8"))["title"] for name in course_names()},
         "bodies": {name: _body_line(load_body(name)) for name in body_names()},
         "characters": dict(CHARACTERS),
     }

@@ -11,7 +11,7 @@ count in them.
     /<scenario>
         Assets       articulations, one a cast, and the geometry of their links
         Looks        physics materials
-        World        ground and fences, as colliders
+        World        ground and fences, or a road and what stands on it, as colliders
         Crowd        an articulation an agent
         physicsScene
         groups       which colliders pass through one another
@@ -34,6 +34,7 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from echelon.errors import InputError
+from echelon.export.road_scene import RoadScene, is_road, road_scene
 from echelon.export.shapes import ground_mesh, wall_mesh
 from echelon.export.stage import scene
 from echelon.export.stage.articulations import (
@@ -62,6 +63,7 @@ from echelon.export.stage.motion import (
 )
 from echelon.recording import Recording
 
+SOLID_GROUND = ("asphalt", "verge", "land")
 GROUND_FRICTION = 0.9  # of ground and fences; engines combine it with that of what touches them
 
 
@@ -117,12 +119,12 @@ def write_physics(recording: Recording, path: str | os.PathLike[str], frame: int
     layer.customLayerData = data
     materials = _define_materials(stage, paths, motions)
     _define_scene(stage, paths, motions)
-    fences = _define_world(stage, paths, recording, materials[GROUND_FRICTION])
+    ground, fences = _define_world(stage, paths, recording, materials[GROUND_FRICTION])
     scene.define_group(stage, paths.crowd)
     for motion in motions:
         define_links(stage, paths.assets, motion.name, motion.body)
         define_articulation(stage, paths.assets, motion.name, motion.body, materials)
-    _define_groups(stage, paths, motions, fences)
+    _define_groups(stage, paths, motions, ground, fences)
     moments = [moment(motion, frame - first, recording.frame_rate) for motion in motions]
     with Sdf.ChangeBlock():
         crowd = layer.GetPrimAtPath(paths.crowd)
@@ -216,9 +218,15 @@ def _define_scene(stage: Usd.Stage, paths: scene.StagePaths, motions: Sequence[C
 
 def _define_world(
     stage: Usd.Stage, paths: scene.StagePaths, recording: Recording, material: UsdShade.Material
-) -> list[Sdf.Path]:
-    """The ground as an endless plane, the fences as thin walls; returns the paths of the fences."""
+) -> tuple[list[Sdf.Path], list[Sdf.Path]]:
+    """The ground as an endless plane and the fences as thin walls, or a road and what stands on it.
+
+    Returns:
+        Paths of the ground, and of fences or obstacles.
+    """
     scene.define_group(stage, paths.world)
+    if is_road(recording.world):
+        return _define_road(stage, paths, road_scene(recording.world), material)
     ground = UsdGeom.Plane.Define(stage, paths.world.AppendChild("ground"))
     ground.CreateAxisAttr(UsdGeom.Tokens.z)
     low, high = ground_mesh(recording.world["ground"]).extent.tolist()
@@ -234,11 +242,39 @@ def _define_world(
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.none)
         make_collider(mesh.GetPrim(), material)
         fences.append(path)
-    return fences
+    return [ground.GetPath()], fences
+
+
+def _define_road(
+    stage: Usd.Stage, paths: scene.StagePaths, road: RoadScene, material: UsdShade.Material
+) -> tuple[list[Sdf.Path], list[Sdf.Path]]:
+    """Asphalt, verge and land as they are drawn, and a hull for everything that stands on the road."""
+    ground: list[Sdf.Path] = []
+    for part in road.ground:
+        if part.name in SOLID_GROUND:
+            path = paths.world.AppendChild(part.name)
+            mesh = define_mesh(stage, str(path), welded([part.mesh]), part.color)
+            UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.none)
+            make_collider(mesh.GetPrim(), material)
+            ground.append(path)
+    obstacles: list[Sdf.Path] = []
+    for obstacle in road.obstacles:
+        path = paths.world.AppendChild(obstacle.name)
+        mesh = define_mesh(stage, str(path), welded([part.mesh for part in obstacle.parts]))
+        mesh.AddTranslateOp().Set(Gf.Vec3d(*obstacle.pose[:3].tolist()))
+        mesh.AddOrientOp().Set(quatf(obstacle.pose[3:]))
+        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+        make_collider(mesh.GetPrim(), material)
+        obstacles.append(path)
+    return ground, obstacles
 
 
 def _define_groups(
-    stage: Usd.Stage, paths: scene.StagePaths, motions: Sequence[CastMotion], fences: Sequence[Sdf.Path]
+    stage: Usd.Stage,
+    paths: scene.StagePaths,
+    motions: Sequence[CastMotion],
+    ground: Sequence[Sdf.Path],
+    fences: Sequence[Sdf.Path],
 ) -> None:
     """Sites made for the ground pass through fences, those made for walls through the ground, as in the simulation."""
     sites: dict[str, list[Sdf.Path]] = {"ground": [], "wall": []}
@@ -247,7 +283,7 @@ def _define_groups(
             sites[site.surface] += [paths.crowd.AppendChild(name).AppendPath(path) for name in motion.agent_names]
     scope = UsdGeom.Scope.Define(stage, paths.root.AppendChild("groups")).GetPath()
     members = {
-        "ground": [paths.world.AppendChild("ground")],
+        "ground": list(ground),
         "fences": list(fences),
         "ground_sites": sites["ground"],
         "wall_sites": sites["wall"],

@@ -226,7 +226,7 @@ class RoadSurfaces:
         )
         return Quadtree.over([road, triangulate_adaptively(self.land, LAND_TOLERANCE, x, y, "land")])
 
-    def display(self, tolerance: float = 0.05, land_tolerance: float = 0.5) -> tuple[TriangleMesh, ...]:
+    def display(self, tolerance: float = 0.08, land_tolerance: float = 0.5) -> tuple[TriangleMesh, ...]:
         """Flat triangles to be drawn: "road", "verge" and "land", which meet and do not overlap.
 
         Args:

@@ -3,8 +3,12 @@
 The asset stands under ``Assets`` as ``<cast>_articulation`` and every agent references it, so masses and joints are
 written once. Rigid bodies may not be nested, hence the links are siblings.
 
-What another engine cannot know from it: servos, springs and the stiffness of contacts and limits. They are the
-simulation's own.
+A spring of no length between two links (hand to bar, foot to pedal) becomes a joint that locks nothing and pulls in
+three directions: a drive along each axis has the spring's stiffness and damping. It closes a loop and so is no part of
+the articulation.
+
+What another engine cannot know from it: servos, springs that have a length, the stiffness of contacts and limits, and
+whatever a controller couples, such as a chain. They are the simulation's own.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -18,12 +22,13 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from echelon.export.shapes import visual_mesh
 from echelon.export.stage.characters import GEOMETRY, link_names, links_path, reference_origins
-from echelon.export.stage.joints import PhysicsJoint, physics_joint, principal_inertia
+from echelon.export.stage.joints import LINEAR_FREEDOMS, PhysicsJoint, physics_joint, principal_inertia
 from echelon.export.stage.meshes import define_mesh, welded
 from echelon.export.stage.motion import prim_names
-from echelon.warp_kernels.model import ContactSite, Link, Model, Visual
+from echelon.warp_kernels.model import ContactSite, Link, Model, Spring, Visual
 
 JOINTS = "joints"
+SPRINGS = "springs"
 # UsdPhysics takes a mass or moment of zero for "work it out from the colliders".
 LEAST_MASS = 1e-6  # [kg]
 LEAST_MOMENT = 1e-9  # [kg m^2]
@@ -96,6 +101,34 @@ def define_articulation(
                 paths[parent] if parent >= 0 else None,
                 paths[index],
             )
+
+    if any(spring.rest_length == 0.0 for spring in body.springs):
+        UsdGeom.Scope.Define(stage, path.AppendChild(SPRINGS))
+    links = dict(zip(body.link_names, paths, strict=True))
+    for name, spring in zip(prim_names([spring.name for spring in body.springs]), body.springs, strict=True):
+        if spring.rest_length == 0.0:
+            _define_spring(stage, path.AppendChild(SPRINGS).AppendChild(name), spring, links)
+
+
+def _define_spring(stage: Usd.Stage, path: Sdf.Path, spring: Spring, links: Mapping[str, Sdf.Path]) -> None:
+    """A bushing: nothing is locked, a drive along each axis pulls the two sites together."""
+    joint = UsdPhysics.Joint.Define(stage, path)
+    # An end without a link is fixed in the world.
+    if spring.link_a is not None:
+        joint.CreateBody0Rel().SetTargets([links[spring.link_a]])
+    if spring.link_b is not None:
+        joint.CreateBody1Rel().SetTargets([links[spring.link_b]])
+    joint.CreateLocalPos0Attr(Gf.Vec3f(*spring.position_a))
+    joint.CreateLocalPos1Attr(Gf.Vec3f(*spring.position_b))
+    joint.CreateLocalRot0Attr(Gf.Quatf(1.0))
+    joint.CreateLocalRot1Attr(Gf.Quatf(1.0))
+    joint.CreateExcludeFromArticulationAttr(True)
+    for axis in LINEAR_FREEDOMS:
+        drive = UsdPhysics.DriveAPI.Apply(joint.GetPrim(), axis)
+        drive.CreateTypeAttr(UsdPhysics.Tokens.force)
+        drive.CreateTargetPositionAttr(0.0)
+        drive.CreateStiffnessAttr(spring.stiffness)
+        drive.CreateDampingAttr(spring.damping)
 
 
 def _define_link(stage: Usd.Stage, path: Sdf.Path, link: Link, origin: list[float]) -> Usd.Prim:
