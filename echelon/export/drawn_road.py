@@ -32,6 +32,32 @@ class DrawnThings:
 
 
 @dataclass(frozen=True)
+class Blockers:
+    """What stands in the way of a camera: upright cylinders.
+
+    Attributes:
+        positions: Of their feet [m],       [n, 3]
+        radii: [m],                         [n]
+        heights: [m],                       [n]
+    """
+
+    positions: np.ndarray
+    radii: np.ndarray
+    heights: np.ndarray
+
+    def hidden(self, eye: np.ndarray, targets: np.ndarray) -> float:
+        """Which part of some targets [m], shape [n, 3], cannot be seen from an eye [m], 0 to 1."""
+        way = targets - eye
+        gaps = self.positions[:, None] - eye
+        # Where the line of sight passes nearest on the map.
+        part = np.sum(gaps[..., :2] * way[:, :2], axis=2) / np.maximum(np.sum(way[:, :2] ** 2, axis=1), 1e-9)
+        part = np.clip(part, 0.0, 1.0)
+        aside = np.linalg.norm(gaps[..., :2] - part[..., None] * way[:, :2], axis=2)
+        above = part * way[:, 2] - gaps[..., 2]
+        return float(((aside < self.radii[:, None]) & (above < self.heights[:, None])).any(axis=0).mean())
+
+
+@dataclass(frozen=True)
 class DrawnRoad:
     """The ground, from the land up to the paint, and what stands on it."""
 
@@ -42,6 +68,19 @@ class DrawnRoad:
     def places(self) -> np.ndarray:
         """Where all things stand (x, y) [m], shape [n, 2]."""
         return np.concatenate([np.empty((0, 2)), *[thing.positions[:, :2] for thing in self.things]])
+
+    def blockers(self) -> Blockers:
+        """What is broad and high enough to hide a rider."""
+        positions, radii, heights = [np.empty((0, 3))], [np.empty(0)], [np.empty(0)]
+        for thing in self.things:
+            corner = np.max([np.abs(part.mesh.extent).max(axis=0) for part in thing.parts], axis=0)
+            scale = np.linalg.norm(thing.frames, axis=1)
+            radius, height = (corner[:2] * scale[:, :2]).max(axis=1), corner[2] * scale[:, 2]
+            broad = (height > 2.0) & (corner[:2].min() > 1.0)
+            positions.append(thing.positions[broad])
+            radii.append(radius[broad])
+            heights.append(height[broad])
+        return Blockers(np.concatenate(positions), np.concatenate(radii), np.concatenate(heights))
 
 
 def drawn_road(scene: RoadScene) -> DrawnRoad:

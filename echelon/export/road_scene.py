@@ -28,7 +28,8 @@ TOLERANCE = 0.03  # [m] of the triangles of the road that are drawn
 LAND_TOLERANCE = 0.5  # [m] of those of the land
 PAINT_LIFT = 0.012  # [m] of paint above the road
 STREET_LIFT = 0.03  # [m] of side streets above the land, which is drawn more coarsely
-STREET_STEP = 2.0  # [m] along a side street from line to line
+STREET_STEP = 1.0  # [m] along a side street from line to line, at the road
+STREET_COLUMNS = 6  # of points across it
 PAINT_STEPS = (2, 4, 8, 16)  # [m], a painted line is drawn in pieces as long as it is straight
 PAINT_TOLERANCE = 0.006  # [m]
 
@@ -145,10 +146,15 @@ def _part(surface: TriangleMesh) -> GroundPart:
 def _streets(course: Course, ground: DisplayedGround) -> GroundPart | None:
     """Side streets, laid on the ground; they end where the road begins."""
     half = 0.5 * course.side_street_width
-    across = half * np.array([1.0, 0.0, -1.0])
+    across = half * np.linspace(1.0, -1.0, STREET_COLUMNS)
     strips = []
     for street in course.side_streets:
         line = _resampled(np.array(street, dtype=np.float64), STREET_STEP)
+        # Finely where the road's edge cuts it off, coarsely elsewhere.
+        _, beside = course.centreline.closest(line)
+        kept = (np.abs(beside) < course.half_width + course.side_street_width) | (np.arange(len(line)) % 4 == 0)
+        kept[-1] = True
+        line = line[kept]
         along = np.gradient(line, axis=0)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
         left = np.column_stack([-along[:, 1], along[:, 0]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -24,8 +25,9 @@ Camera = Literal["follow", "overview", "corral", "roadside", "helicopter"] | Vie
 FIELD_CAMERAS = ("follow", "overview", "corral")
 ROAD_CAMERAS = ("follow", "overview", "roadside", "helicopter")
 
-ROAD_ELEVATION = float(np.radians(24.0))  # of a camera that stands still above a road
-ROAD_AZIMUTH = float(np.radians(150.0))  # from where the group rides to, seen from above: behind, to the right
+# Where a camera may stand that shows a road from one place: as low as it can, unless something is in the way.
+ROAD_ELEVATIONS = tuple(np.radians((18.0, 26.0, 36.0, 50.0)).tolist())
+ROAD_AZIMUTHS = tuple(np.radians((-140.0, 140.0, -100.0, 100.0, -60.0, 60.0, -20.0, 20.0)).tolist())  # from its heading
 
 _FRAMES_AT_ONCE = 64  # read from the recording
 
@@ -68,14 +70,26 @@ class ShotViews:
 
     def _fixed(self, places: np.ndarray, elevation: float) -> View:
         """A view of bodies at places, frame by frame [m], shape [frames, bodies, 3]."""
-        if self._source.world.road is None:
+        road = self._source.world.road
+        if road is None:
             return fixed_view(places[..., :2].reshape(-1, 2), self._aspect, elevation)
         # The ground of a road is where it is: on a level with the middle of the bodies.
         way = places[-1].mean(axis=0) - places[0].mean(axis=0)
-        azimuth = float(np.arctan2(way[1], way[0])) - ROAD_AZIMUTH
+        heading = float(np.arctan2(way[1], way[0]))
         level = np.array([0.0, 0.0, 0.5 * (places[..., 2].min() + places[..., 2].max())])
         flat = places[..., :2].reshape(-1, 2)
-        return fixed_view(flat, self._aspect, max(elevation, ROAD_ELEVATION), azimuth).moved(level)
+        bodies = places.reshape(-1, 3)[:: max(places.shape[0] * places.shape[1] // 200, 1)] + [0.0, 0.0, 1.0]
+        blockers = road.blockers()
+        best, least = None, np.inf
+        for rise, aside in itertools.product(ROAD_ELEVATIONS, ROAD_AZIMUTHS):
+            view = fixed_view(flat, self._aspect, max(elevation, rise), heading + aside).moved(level)
+            hidden = blockers.hidden(np.asarray(view.eye), bodies)
+            if best is None or hidden < least - 1e-9:
+                best, least = view, hidden
+            if least == 0.0:
+                break
+        assert best is not None
+        return best
 
     def _along_the_road(self, frames: Sequence[int], camera: RoadCamera) -> list[View]:
         assert self._source.world.road is not None

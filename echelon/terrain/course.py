@@ -10,6 +10,7 @@ markings (`Course.lines`), and what stands beside the road (`Course.roadside`).
 
 from __future__ import annotations
 
+import json
 import os
 import tomllib
 from collections.abc import Mapping
@@ -41,6 +42,9 @@ STEEPEST = 0.35
 
 CROSSING_STEP = 0.3
 """Where a road meets itself its heights may differ by this [m]: ground has one height everywhere, and no bridges."""
+
+RECENT_LIMIT = 2
+"""Courses that are kept in memory with their surfaces, the latest ones."""
 
 _SAMPLING = 0.5  # [m], of arc length, at which a course is checked
 _INNER_ROOM = 0.25  # [m], radius that is left to the inner edge of the verge in the sharpest bend
@@ -293,10 +297,17 @@ class Course:
         Raises:
             InputError: One line that names source, key, value and what is allowed.
         """
-        try:
-            return read(cls, data)
-        except SettingError as error:
-            raise InputError(f"{source}: {error}") from None
+        # A recording's course is read to simulate, to export, to draw and to plot: its surfaces are laid once.
+        key = json.dumps(data, default=repr)
+        if key not in _recent:
+            try:
+                made = read(cls, data)
+            except SettingError as error:
+                raise InputError(f"{source}: {error}") from None
+            while len(_recent) >= RECENT_LIMIT:
+                del _recent[next(iter(_recent))]
+            _recent[key] = made
+        return _recent[key]
 
     def to_dict(self) -> dict[str, Any]:
         """The whole course, defaults included, as plain data; `from_dict` gives it back."""
@@ -313,6 +324,9 @@ class Course:
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------
+_recent: dict[str, Course] = {}
+
+
 def course_names() -> tuple[str, ...]:
     """Names of the courses that ship with Echelon, in alphabetical order."""
     folder = resources.files("echelon") / "courses"
