@@ -119,7 +119,8 @@ def test_all_complete_the_race(seed: int, tmp_path: Path) -> None:
         assert 100.0 < rider["mean_power"] < 400.0
         assert 50.0 < rider["mean_cadence"] < 110.0
     power = measure(recording, "power")
-    assert np.quantile(power, 0.999) < 650.0
+    # Bounded by what each is able to, drawn about 550 W, and a little more while gears change.
+    assert np.quantile(power, 0.999) < 700.0
 
 
 # ---- runs that repeat ------------------------------------------------------------------------------------------------
@@ -194,7 +195,7 @@ def test_a_course_is_found_beside_its_scenario(tmp_path: Path) -> None:
         ("world.course=nowhere", "nowhere"),
         ("world.course=missing.gpx", "missing.gpx"),
         ("peloton.edge_margin=5", "edge_margin"),
-        ("peloton.start_distance=-5e3", "start_distance"),
+        ("crowd.count=20000", "does not fit on a road"),
     ],
 )
 def test_what_does_not_fit_the_road_is_one_line(change: str, said: str, tmp_path: Path) -> None:
