@@ -23,7 +23,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pxr import Sdf, Usd
@@ -35,13 +35,13 @@ from echelon.export.stage import scene
 from echelon.export.stage.camera import APERTURE, CameraMove, framed, looking
 from echelon.export.stage.characters import define_links, define_rig, define_skel
 from echelon.export.stage.clips import (
-    CROWD,
     MANIFEST,
     SUFFIX,
     Stretch,
     add_to_manifest,
-    author_clip_set,
+    author_clip_sets,
     check_clips_folder,
+    clip_path,
     remove_clips,
     replacing_clips,
     stretches,
@@ -114,7 +114,12 @@ def write_stage(
     if clip_frames < 0:
         raise InputError(f"clip_frames = {clip_frames}: must be 0 or the number of frames in a value clip")
     clips = stretches(recording.frame_count, clip_frames) if clip_frames else ()
-    motions = _motions(recording, slice(0, 1) if clips else slice(None), clip_by_clip=bool(clips))
+    if clips:
+        # The stage itself shows the first frame, its velocities included.
+        after = min(recording.frame_count - 1, 1)
+        motions = _motions(recording, slice(0, 1 + after), beside=(0, after), clip_by_clip=True)
+    else:
+        motions = _motions(recording, slice(None))
     steps = sum(len(m.body.links) if name == "points" else m.agent_count for m in motions for name in wanted)
     advance = _counter(progress, steps * (len(clips) + 1) + 2)
 
@@ -129,7 +134,7 @@ def write_stage(
     advance()
     if clips:
         stage = Usd.Stage.Open(layer)
-        author_clip_set(stage.GetPrimAtPath(paths.crowd), target, clips)
+        author_clip_sets(stage.GetPrimAtPath(paths.crowd), target, clips, wanted)
         _write_clips(recording, target, clips, wanted, advance)
     save_layer(layer, target)
     if not clips:
@@ -145,23 +150,22 @@ def _write_clips(
     with replacing_clips(target) as folder:
         for clip in clips:
             layer = Sdf.Layer.CreateAnonymous(SUFFIX)
-            crowd = Sdf.CreatePrimInLayer(layer, CROWD)
             before, after = min(clip.first, 1), min(recording.frame_count - 1 - clip.last, 1)
-            motions = [
-                replace(motion, timing=Timing(clip.first, in_clip=True), beside=(before, after))
-                for motion in _motions(recording, slice(clip.first - before, clip.last + after + 1), clip_by_clip=True)
-            ]
+            frames = slice(clip.first - before, clip.last + after + 1)
+            timing = Timing(clip.first, in_clip=True)
+            motions = _motions(recording, frames, timing=timing, beside=(before, after), clip_by_clip=True)
             with Sdf.ChangeBlock():
                 for name in wanted:
-                    _author_crowd(crowd, CROWD, motions, name, recording, advance)
+                    crowd = Sdf.CreatePrimInLayer(layer, clip_path(name))
+                    _author_crowd(crowd, crowd.path, motions, name, recording, advance)
             add_to_manifest(manifest, layer)
             save_layer(layer, folder / clip.file_name)
         save_layer(manifest, folder / MANIFEST)
 
 
-def _motions(recording: Recording, frames: slice, *, clip_by_clip: bool) -> list[CastMotion]:
-    motions = read_motion(recording, frames)
-    return [replace(motion, clip_by_clip=clip_by_clip) for motion in motions if motion.agent_count]
+def _motions(recording: Recording, frames: slice, **fields: Any) -> list[CastMotion]:
+    """Motion of the casts that have agents, with some fields set."""
+    return [replace(motion, **fields) for motion in read_motion(recording, frames) if motion.agent_count]
 
 
 def _author_crowd(

@@ -101,9 +101,8 @@ def speed_behind_others(rider: int, rules: RoadRules, seen: RidersSeen, riders: 
             fastest = follow_speed(ahead - rules.body_length, lead, riders.along[rider], rules)
             if fastest < limit:
                 width = rules.body_half_width + half_width_of(other, rules, riders)
-                now = nearer(
-                    riders.offset[other] - riders.offset[rider], gap_to_plan(riders.lane[rider], other, riders)
-                )
+                between = riders.offset[other] - riders.offset[rider]
+                now = nearer(between, gap_to_plan(riders.lane[rider], other, riders))
                 limit = wp.min(limit, fastest + CLEAR_OF * clear_of(wp.abs(now) - width))
                 later = nearer(now, gap_to_plan(riders.target[rider], other, riders))
                 limit = wp.min(limit, wp.max(fastest, lead - YIELD) + CLEAR_OF * clear_of(wp.abs(later) - width))

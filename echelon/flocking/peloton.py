@@ -51,7 +51,7 @@ GRAPH_LIMIT = 8
 RUN_OUT = 40.0
 """On an open road the finish is so far before its end, so that there is some road left to slow down on [m]."""
 
-CELL_SIZE = 4.0  # [m] of the grid that neighbours are found in: a few riders in each
+CELLS_PER_SIGHT = 4  # of the grid that neighbours are found in, along the visibility: whoever sees few looks at all
 LONG_AGO = -(2**30)  # the frame in which the first target was chosen
 
 _COPIED = (
@@ -150,7 +150,7 @@ class Peloton:
         self._count, self._frame_rate = riders, frame_rate
         self._data = path.data(device)
         self._speeds = corner_speeds(settings, path, edge, device)
-        self._table = cell_table(riders, CELL_SIZE, settings.visibility, device)
+        self._table = cell_table(riders, settings.visibility / CELLS_PER_SIGHT, settings.visibility, device)
         self._seen = _seen(settings, riders, device)
         self._tactics_rules = None if settings.tactics is None else tactics.tactics_rules(settings.tactics)
         keys = user.keys if user is not None else ((0.0, 0.0, 0.0),)
@@ -161,7 +161,7 @@ class Peloton:
         self._nobody_fell = wp.zeros(count, dtype=wp.int32, device=device)
         self._nowhere = wp.zeros(1, dtype=wp.vec4, device=device)
         self._graphs: dict[tuple[int | None, ...], tuple[wp.Graph, tuple[Any, ...]]] = {}
-        self._set_frame(-1)
+        self.set_frame(-1)
         self._enqueue_obstacles()
         if self.user is not None:
             self.user.enqueue_place(self.rules, self._data, self.riders)
@@ -186,7 +186,7 @@ class Peloton:
             fallen: 1 for those who have fallen, shape [agents]; None where nobody has.
         """
         down = self._nobody_fell if fallen is None else fallen
-        self._set_frame(frame)
+        self.set_frame(frame)
         arrays: tuple[Any, ...] = (positions, velocities, down, commands_out)
         key = tuple(array.ptr for array in arrays)
         if key not in self._graphs:
@@ -202,7 +202,7 @@ class Peloton:
         fallen: wp.array[wp.int32],
         commands_out: wp.array2d[wp.float32],
     ) -> None:
-        """Launch what `step` replays; arguments as there."""
+        """Launch what `step` replays, after `set_frame`, for a capture of one's own; arguments as there."""
         rules, path, riders, seen, frame, device = (
             *(self.rules, self._data, self.riders, self._seen, self._frame),
             self._device,
@@ -294,7 +294,8 @@ class Peloton:
             inputs = [self._data, self.rules.step, self._frame, self.obstacles]
             wp.launch(road_obstacles.move_obstacles, count, inputs=inputs, device=self._device)
 
-    def _set_frame(self, frame: int) -> None:
+    def set_frame(self, frame: int) -> None:
+        """Say which frame `enqueue` is about."""
         if self._device.is_cpu:
             self._frame.numpy()[0] = frame
         else:

@@ -173,7 +173,7 @@ class UserSettings:
     """
 
     by: Literal["time", "distance"] = "time"
-    keys: Annotated[tuple[tuple[float, float, float], ...], Within(at_least=-1e6, at_most=1e6)] = ((0.0, 10.5, 0.0),)
+    keys: Annotated[tuple[tuple[float, float, float], ...], Within(at_least=-1e6, at_most=1e6)] = ((0.0, 11.0, 0.0),)
     ahead: Annotated[float, Within("m", at_least=-1e4, at_most=1e4)] = 8.0
     power: Annotated[float, Within("W", above=0, at_most=5000)] = 360.0
     mass: Annotated[float, Within("kg", above=0, at_most=1000)] = 88.0

@@ -155,7 +155,7 @@ class Scenario:
         seed: Of everything that is random while it runs.
         population_seed: Of where they start and how they differ.
         until: "" runs for all of `seconds`; "penned" stops once the crowd has been penned, "finished" once everybody
-            who still rides has come in.
+            who still rides has come in, the user too.
         crowd, world, engine, shot: See their classes.
         herd, collie: On a field. No `collie`: nobody chases anybody.
         peloton, user, obstacles: On a road. No `user`: the crowd rides alone.

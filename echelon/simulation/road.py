@@ -135,8 +135,9 @@ class Road:
     def finished(self) -> bool:
         if self.scenario.until != "finished":
             return False
-        come_in = self.peloton.referee.arrays.finish_frame.numpy()[: len(self._down)] != UNFINISHED
-        return bool(np.all(self._down | come_in))
+        out = self.peloton.referee.arrays.finish_frame.numpy() == UNFINISHED
+        out[: len(self._down)] &= ~self._down
+        return not out.any()
 
     def summary(self, last_frame: int, means: Mapping[str, np.ndarray]) -> dict[str, Any]:
         found: list[dict[str, Any]] = [*self.peloton.summary()]

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,10 +32,8 @@ from pxr import Sdf, Usd, Vt
 
 from echelon.errors import InputError
 
-CLIP_SET = "motion"
 MANIFEST = "manifest.usda"
 SUFFIX = ".usdc"
-CROWD = Sdf.Path("/Crowd")  # where the crowd stands in clips and manifest
 
 
 @dataclass(frozen=True)
@@ -66,6 +64,11 @@ def clips_folder(stage: Path) -> Path:
     return stage.with_suffix(".clips")
 
 
+def clip_path(representation: str) -> Sdf.Path:
+    """Where the crowd stands in clips and manifest."""
+    return Sdf.Path.absoluteRootPath.AppendChild(representation)
+
+
 def check_clips_folder(stage: Path) -> None:
     """Raises InputError where something else is in the place of the clips, which would be lost."""
     folder = clips_folder(stage)
@@ -89,16 +92,17 @@ def add_to_manifest(manifest: Sdf.Layer, clip: Sdf.Layer) -> None:
     clip.Traverse(Sdf.Path.absoluteRootPath, declare)
 
 
-def author_clip_set(crowd: Usd.Prim, stage: Path, clips: tuple[Stretch, ...]) -> None:
-    """Tell the crowd where its motion is."""
+def author_clip_sets(crowd: Usd.Prim, stage: Path, clips: Sequence[Stretch], names: Sequence[str]) -> None:
+    """Tell the crowd where its motion is, a clip set for each representation."""
     folder = clips_folder(stage).name
     last = float(clips[-1].last)
     api = Usd.ClipsAPI(crowd)
-    api.SetClipPrimPath(str(CROWD), CLIP_SET)
-    api.SetClipManifestAssetPath(Sdf.AssetPath(f"./{folder}/{MANIFEST}"), CLIP_SET)
-    api.SetClipAssetPaths([Sdf.AssetPath(f"./{folder}/{clip.file_name}") for clip in clips], CLIP_SET)
-    api.SetClipActive(Vt.Vec2dArray([(float(clip.first), float(index)) for index, clip in enumerate(clips)]), CLIP_SET)
-    api.SetClipTimes(Vt.Vec2dArray([(0.0, 0.0), (last, last)]), CLIP_SET)
+    for name in names:
+        api.SetClipPrimPath(str(clip_path(name)), name)
+        api.SetClipManifestAssetPath(Sdf.AssetPath(f"./{folder}/{MANIFEST}"), name)
+        api.SetClipAssetPaths([Sdf.AssetPath(f"./{folder}/{clip.file_name}") for clip in clips], name)
+        api.SetClipActive(Vt.Vec2dArray([(float(clip.first), float(i)) for i, clip in enumerate(clips)]), name)
+        api.SetClipTimes(Vt.Vec2dArray([(0.0, 0.0), (last, last)]), name)
 
 
 @contextmanager
