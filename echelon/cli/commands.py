@@ -8,18 +8,17 @@ What a command needs is imported when the command runs, so that `echelon --help`
 
 from __future__ import annotations
 
-import functools
 import json
 import sys
-from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from echelon.cli.course import app as course_app
 from echelon.cli.progress import Progress, Reporter, size
+from echelon.cli.registering import Json, Quiet, command
 from echelon.cli.running import Failure, announce, check_products, only_json, run_and_report, shot_options
 from echelon.errors import InputError
 
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
 DONE, FAILED, WRONG_INPUT = 0, 1, 2
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's, or that of the copy that typer carries
-
-_Function = TypeVar("_Function", bound=Callable[..., None])
 
 app = typer.Typer(
     name="echelon",
@@ -77,23 +74,6 @@ def _complain(message: str, code: int) -> int:
     return code
 
 
-def _command(name: str, examples: str) -> Callable[[_Function], _Function]:
-    """Register a command; an interruption that it does not explain itself becomes a line."""
-
-    def register(function: _Function) -> _Function:
-        @functools.wraps(function)
-        def guarded(*args: Any, **options: Any) -> None:
-            try:
-                function(*args, **options)
-            except KeyboardInterrupt:
-                raise Failure("interrupted") from None
-
-        app.command(name, epilog=f"\b\nExamples:\n{examples}")(guarded)
-        return function
-
-    return register
-
-
 @app.callback(invoke_without_command=True)
 def _top(
     context: typer.Context,
@@ -109,8 +89,6 @@ def _top(
 
 
 # ---- options that several commands share ---------------------------------------------------------------------------
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and nothing else.")]
 Threads = Annotated[int | None, typer.Option(min=1, metavar="T", help="Threads; by default as many as are worth it.")]
 Stage = Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.usd", help="Write a USD stage.")]
 Film = Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Make a film of the scenario's shot.")]
@@ -150,7 +128,8 @@ RepresentationOption = Annotated[
 
 
 # ---- simulate and resume -------------------------------------------------------------------------------------------
-@_command(
+@command(
+    app,
     "simulate",
     "  echelon simulate border-collie --out herd.usd --film herd.mp4\n"
     "  echelon simulate herd --agents 105 --seconds 60 --seed 7\n"
@@ -207,7 +186,7 @@ def simulate(
     run_and_report(reporter, work, folder, plan, out, film, representation.value, as_json)
 
 
-@_command("resume", "  echelon resume herd.recording --out herd.usd")
+@command(app, "resume", "  echelon resume herd.recording --out herd.usd")
 def resume(
     recording: RecordingFolder,
     threads: Threads = None,
@@ -241,7 +220,8 @@ def resume(
 
 
 # ---- what is made of a recording -----------------------------------------------------------------------------------
-@_command(
+@command(
+    app,
     "export",
     "  echelon export herd.recording --out herd.usd\n"
     "  echelon export herd.recording --out crowd.usd --representation points\n"
@@ -278,7 +258,8 @@ def export(
     reporter.say(f"wrote {out} ({size(out.stat().st_size)})")
 
 
-@_command(
+@command(
+    app,
     "render",
     "  echelon render herd.recording --out herd.mp4\n"
     "  echelon render herd.usd --out close.mp4 --start 10 --seconds 5 --size 1280x720\n"
@@ -355,7 +336,7 @@ def _parsed_size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-@_command("plot", "  echelon plot herd.recording --out herd.png")
+@command(app, "plot", "  echelon plot herd.recording --out herd.png")
 def plot(
     recording: RecordingFolder,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.png|FILE.pdf", help="The page to write.")],
@@ -373,7 +354,7 @@ def plot(
 
 
 # ---- bench, list, describe -----------------------------------------------------------------------------------------
-@_command("bench", "  echelon bench engine\n  echelon bench engine --json > engine.json\n  echelon bench bicycle")
+@command(app, "bench", "  echelon bench engine\n  echelon bench engine --json > engine.json\n  echelon bench bicycle")
 def bench(
     study: Annotated[
         Study,
@@ -406,7 +387,7 @@ def bench(
         print_table(rows)
 
 
-@_command("list", "  echelon list\n  echelon list --json")
+@command(app, "list", "  echelon list\n  echelon list --json")
 def list_(as_json: Json = False) -> None:
     """List what ships: scenarios, bodies, characters."""
     from echelon.cli.description import shipped
@@ -422,7 +403,8 @@ def list_(as_json: Json = False) -> None:
             print(f"  {name:<{width}}  {line}")
 
 
-@_command(
+@command(
+    app,
     "describe",
     "  echelon describe border-collie\n  echelon describe male\n  echelon describe herd.recording --json",
 )

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from echelon.cli.progress import Reporter, size
-from echelon.cli.running import Failure
+from echelon.cli.registering import Json, Quiet, command
 from echelon.errors import InputError
 
 if TYPE_CHECKING:
     from echelon.terrain.course_facts import CourseFacts
-
-_Function = TypeVar("_Function", bound=Callable[..., None])
 
 app = typer.Typer(
     name="course",
@@ -29,31 +25,13 @@ app = typer.Typer(
     epilog="\b\nExamples:\n  echelon course import ride.gpx\n  echelon course plot city-race --out city-race.png",
 )
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and nothing else.")]
 CourseArgument = Annotated[
     str, typer.Argument(metavar="COURSE", help="Name of a course that ships, a .toml file, or a GPS track (.gpx).")
 ]
 
 
-def _command(name: str, examples: str) -> Callable[[_Function], _Function]:
-    """Register a command; an interruption becomes a line."""
-
-    def register(function: _Function) -> _Function:
-        @functools.wraps(function)
-        def guarded(*args: Any, **options: Any) -> None:
-            try:
-                function(*args, **options)
-            except KeyboardInterrupt:
-                raise Failure("interrupted") from None
-
-        app.command(name, epilog=f"\b\nExamples:\n{examples}")(guarded)
-        return function
-
-    return register
-
-
-@_command(
+@command(
+    app,
     "import",
     "  echelon course import ride.gpx\n"
     "  echelon course import ride.gpx --out sunday.toml --width 7 --smooth 8\n"
@@ -100,7 +78,7 @@ def import_(
     reporter.say(f"wrote {target} ({size(target.stat().st_size)})")
 
 
-@_command("describe", "  echelon course describe city-race\n  echelon course describe ride.gpx --json")
+@command(app, "describe", "  echelon course describe city-race\n  echelon course describe ride.gpx --json")
 def describe(course: CourseArgument, as_json: Json = False) -> None:
     """Describe a course: length, climbing, grades, corners, climbs."""
     from echelon.terrain.course import Course
@@ -139,7 +117,9 @@ def _in_words(name: str, title: str, closed: bool, width: float, facts: CourseFa
     return "\n".join(lines)
 
 
-@_command("plot", "  echelon course plot city-race --out city-race.png\n  echelon course plot ride.gpx --out ride.pdf")
+@command(
+    app, "plot", "  echelon course plot city-race --out city-race.png\n  echelon course plot ride.gpx --out ride.pdf"
+)
 def plot(
     course: CourseArgument,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.png|FILE.pdf|FILE.svg", help="The page to write.")],
