@@ -35,7 +35,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from echelon.errors import InputError
 from echelon.export.road_scene import RoadScene, is_road, road_scene
-from echelon.export.shapes import ground_mesh, wall_mesh
+from echelon.export.shapes import box_between, ground_mesh, wall_mesh
 from echelon.export.stage import scene
 from echelon.export.stage.articulations import (
     JOINTS,
@@ -248,7 +248,7 @@ def _define_world(
 def _define_road(
     stage: Usd.Stage, paths: scene.StagePaths, road: RoadScene, material: UsdShade.Material
 ) -> tuple[list[Sdf.Path], list[Sdf.Path]]:
-    """Asphalt, verge and land as they are drawn, and a hull for everything that stands on the road."""
+    """Asphalt, verge and land as they are drawn, and a box for everything that stands on the road."""
     ground: list[Sdf.Path] = []
     for part in road.ground:
         if part.name in SOLID_GROUND:
@@ -260,7 +260,9 @@ def _define_road(
     obstacles: list[Sdf.Path] = []
     for obstacle in road.obstacles:
         path = paths.world.AppendChild(obstacle.name)
-        mesh = define_mesh(stage, str(path), welded([part.mesh for part in obstacle.parts]))
+        extents = np.array([part.mesh.extent for part in obstacle.parts])
+        low, high = extents[:, 0].min(axis=0).tolist(), extents[:, 1].max(axis=0).tolist()
+        mesh = define_mesh(stage, str(path), welded([box_between(low, high)]))
         mesh.AddTranslateOp().Set(Gf.Vec3d(*obstacle.pose[:3].tolist()))
         mesh.AddOrientOp().Set(quatf(obstacle.pose[3:]))
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)

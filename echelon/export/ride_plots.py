@@ -17,6 +17,7 @@ from echelon.terrain.spline import Centreline
 
 STEEP = 0.10  # grade at which the colours of the profile end
 _GRADES = LinearSegmentedColormap.from_list("grades", ["#2f6f9f", "#b9c3ca", "#e0a33e", "#c0182b"])
+BEHIND_THE_LINE = 100.0  # [m] before the start line, from which those who start are on their first lap
 _PROFILE_STEP = 5.0  # [m] from point to point of the profile, about
 
 
@@ -85,21 +86,12 @@ def ride_page(recording: Recording) -> Figure:
 def _read(recording: Recording, line: Centreline) -> _Ride:
     frames = sampled_frames(recording)
     places = np.asarray(recording.link_poses[frames, :, 0, :2], dtype=np.float64)
-    s, offsets = np.empty(places.shape[:2]), np.empty(places.shape[:2])
-    near: np.ndarray | None = None
-    for row, now in enumerate(places):
-        # Walked from sample to sample: where the road passes close to itself everybody stays on the own stretch.
-        near, offsets[row] = line.closest(now, near)
-        s[row] = near
-    if line.closed:
-        turns = np.cumsum(np.rint(np.diff(s, axis=0) / line.length), axis=0)
-        s[1:] -= turns * line.length
-        # Who starts just behind the line has not ridden a lap.
-        s -= line.length * np.rint((s[:1] - np.median(s[0])) / line.length)
+    names: tuple[str, ...] = recording.measure_names
+    measures = np.asarray(recording.measures[frames]) if names else np.empty((*places.shape[:2], 0))
+    found = {name: measures[..., index] for index, name in enumerate(names)}
+    s, offsets = _along_and_across(line, places)
     times = frames / recording.frame_rate
     velocities = np.asarray(recording.velocities[frames], dtype=np.float64)
-    names: tuple[str, ...] = recording.measure_names
-    measures = np.asarray(recording.measures[frames]) if names else np.empty((*s.shape, 0))
     return _Ride(
         times=times,
         s=s,
@@ -107,8 +99,23 @@ def _read(recording: Recording, line: Centreline) -> _Ride:
         speeds=np.linalg.norm(velocities, axis=2),
         gaps=_gaps(times, s),
         places=places[-1],
-        measures={name: measures[..., index] for index, name in enumerate(names)},
+        measures=found,
     )
+
+
+def _along_and_across(line: Centreline, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far along the road, laps and all, and how far from its middle riders are [m], shape [samples, riders]."""
+    s, offsets = np.empty(places.shape[:2]), np.empty(places.shape[:2])
+    near: np.ndarray | None = None
+    for row, now in enumerate(places):
+        # Walked from sample to sample: where the road passes close to itself everybody stays on the own stretch.
+        near, offsets[row] = line.closest(now, near)
+        s[row] = near
+    if line.closed:
+        s[1:] -= line.length * np.cumsum(np.rint(np.diff(s, axis=0) / line.length), axis=0)
+        # Who starts just behind the line has not ridden a lap.
+        s[:, s[0] > line.length - BEHIND_THE_LINE] -= line.length
+    return s, offsets
 
 
 def _gaps(times: np.ndarray, s: np.ndarray) -> np.ndarray:

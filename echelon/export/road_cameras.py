@@ -1,9 +1,10 @@
 """Cameras for a group that rides along a road: behind it, from the air, and from the roadside.
 
 All look at the *group*: where most riders are, so that nobody who breaks away or is dropped takes the picture with him.
-A rider counts by how many others are near, and the group's middle is the average of those who count most; over time it
-is averaged with a raised cosine. Along the way of that middle, by its arc length, the camera that follows trails
-behind: it turns where the road turned, and looks ahead along the road to come.
+Its middle is the average about the rider who has the most others near; over time it is averaged with a raised cosine.
+When another group becomes the largest, the picture is cut, rather than chased along an empty road. Along the way of
+that middle, by its arc length, the camera that follows trails behind: it turns where the road turned, and looks ahead
+along the road to come.
 
 The roadside camera stands still and turns with the group. One place shows a stretch of road of `STATION_SPAN`; a shot
 that takes longer is cut, like a race on television, from place to place.
@@ -14,7 +15,9 @@ evenly over the shot, so that a short one has its place beside what happens in i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -24,6 +27,8 @@ RoadCamera = Literal["follow", "roadside", "helicopter"]
 ROAD_CAMERAS: tuple[RoadCamera, ...] = ("follow", "roadside", "helicopter")
 
 TOGETHER = 10.0  # [m], riders nearer than about this are one group
+COMPANY_SMOOTHING = 3.0  # [s] over which it is averaged how much company each rider has
+CUT = 15.0  # [m] in a frame: the group's middle does not move like that, it is another group's
 GROUP_REACH = 30.0  # [m] from its middle: who is farther away is not waited for
 GROUP_SMOOTHING = 1.5  # [s] to either side
 EXTENT_SMOOTHING = 3.0  # [s]
@@ -65,7 +70,7 @@ class CameraWay:
 
 def reach_seconds() -> float:
     """How much of a run before and after a picture decides about it [s]; see this module's text."""
-    return WAY_SECONDS + AIR_SMOOTHING + GROUP_SMOOTHING
+    return WAY_SECONDS + AIR_SMOOTHING + GROUP_SMOOTHING + COMPANY_SMOOTHING
 
 
 def camera_way(
@@ -80,22 +85,42 @@ def camera_way(
         aspect: Width of the picture over its height.
         blocked: Where the roadside camera cannot stand, (x, y) [m], shape [n, 2].
     """
-    group = _Group(places, frame_rate)
-    if camera == "follow":
-        return _following(group, aspect)
-    if camera == "helicopter":
-        return _from_the_air(group, aspect)
-    return _beside_the_road(group, aspect, np.empty((0, 2)) if blocked is None else blocked)
+    return camera_ways((camera,), places, frame_rate, aspect, blocked)[camera]
+
+
+def camera_ways(
+    cameras: Sequence[RoadCamera],
+    places: np.ndarray,
+    frame_rate: int,
+    aspect: float,
+    blocked: np.ndarray | None = None,
+) -> dict[RoadCamera, CameraWay]:
+    """Where several cameras are at every frame of a shot; arguments as for `camera_way`."""
+    groups = _groups(places, frame_rate)
+    free = np.empty((0, 2)) if blocked is None else blocked
+    ways: dict[RoadCamera, CameraWay] = {}
+    for camera in cameras:
+        if camera == "follow":
+            parts = [_following(group, aspect) for group in groups]
+        elif camera == "helicopter":
+            parts = [_from_the_air(group, aspect) for group in groups]
+        else:
+            parts = [_beside_the_road(group, aspect, free) for group in groups]
+        ways[camera] = CameraWay(
+            np.concatenate([part.eyes for part in parts]),
+            np.concatenate([part.targets for part in parts]),
+            np.concatenate([part.fields for part in parts]),
+        )
+    return ways
 
 
 # ---- the group -----------------------------------------------------------------------------------------------------
 class _Group:
-    """Where most riders are, how far they reach, and the way they take."""
+    """Where most riders are, how far they reach, and the way they take: one stretch of a shot without a cut."""
 
-    def __init__(self, places: np.ndarray, frame_rate: int) -> None:
+    def __init__(self, places: np.ndarray, middle: np.ndarray, frame_rate: int) -> None:
         self.frame_rate = frame_rate
         self.frame_count = len(places)
-        middle = np.concatenate([_middles(part) for part in np.array_split(places, max(len(places) // 2048, 1))])
         self.middle = _smooth(middle, GROUP_SMOOTHING, frame_rate)
         steps = np.linalg.norm(np.diff(self.middle[:, :2], axis=0), axis=1)
         self.distance = np.concatenate([[0.0], np.cumsum(steps)])
@@ -132,12 +157,26 @@ class _Group:
         return (self._line[last] - self._line[first]) / (self._knots[last] - self._knots[first])
 
 
-def _middles(places: np.ndarray) -> np.ndarray:
-    """The middle of where most riders are, shape [frames, 3]."""
+def _groups(places: np.ndarray, frame_rate: int) -> list[_Group]:
+    """The group to look at, stretch by stretch: where another one becomes the largest, the picture is cut."""
+    parts = np.array_split(places, max(len(places) // 2048, 1))
+    company = np.concatenate([_company(part) for part in parts])
+    # Of groups of one size that counts which has the lower numbers in it, so that the choice stays.
+    company = _smooth(company, COMPANY_SMOOTHING, frame_rate) + 0.4 * np.linspace(1.0, 0.0, places.shape[1])
+    middle = places[np.arange(len(places)), company.argmax(axis=1)]
+    # Twice, so that it hardly matters whose company was the best.
+    for reach in (TOGETHER, 1.5 * TOGETHER):
+        weights = np.exp(-((np.linalg.norm(places[..., :2] - middle[:, None, :2], axis=2) / reach) ** 2))
+        middle = (places * weights[..., None]).sum(axis=1) / weights.sum(axis=1)[:, None]
+    jumps = np.linalg.norm(np.diff(middle[:, :2], axis=0), axis=1) > CUT
+    bounds = [0, *(1 + np.flatnonzero(jumps)).tolist(), len(places)]
+    return [_Group(places[a:b], middle[a:b], frame_rate) for a, b in pairwise(bounds)]
+
+
+def _company(places: np.ndarray) -> np.ndarray:
+    """How many others are near each rider, fewer the farther away, shape [frames, riders]."""
     gaps = np.linalg.norm(places[:, :, None, :2] - places[:, None, :, :2], axis=3)
-    company = np.exp(-((gaps / TOGETHER) ** 2)).sum(axis=2)
-    weights = (company / company.max(axis=1, keepdims=True)) ** 4
-    return (places * weights[..., None]).sum(axis=1) / weights.sum(axis=1)[:, None]
+    return np.exp(-((gaps / TOGETHER) ** 2)).sum(axis=2)
 
 
 def _smooth(values: np.ndarray, seconds: float, frame_rate: int) -> np.ndarray:

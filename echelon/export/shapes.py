@@ -114,6 +114,13 @@ def rotation_matrix(quaternion: Sequence[float]) -> np.ndarray:
     )
 
 
+def box_between(low: Sequence[float], high: Sequence[float]) -> Mesh:
+    """A box along the axes from its least corner to its greatest [m]."""
+    half = 0.5 * (np.asarray(high, dtype=float) - np.asarray(low, dtype=float))
+    middle = 0.5 * (np.asarray(high, dtype=float) + np.asarray(low, dtype=float))
+    return _boxes(middle[None], half[None], np.zeros(1))
+
+
 def capsule_between(start: Vec3, end: Vec3, radius: float, color: Vec3 | None = None) -> Visual:
     """A capsule whose caps are centred on two points [m] that must differ."""
     first, second = np.asarray(start, dtype=float), np.asarray(end, dtype=float)

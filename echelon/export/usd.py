@@ -13,6 +13,9 @@
 A stage holds the representation that was asked for, selected in the variant set. To choose between several in one
 stage, ask for more with ``also``: each costs the time and the room on disk that it would cost alone, which is why they
 are not always there. Sample f is at time code f.
+
+The crowd's motion in a long run, a race of half an hour say, is in value clips beside the stage, so that neither who
+writes nor who reads it needs room for all of it at once; see `echelon.export.stage.clips`.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -29,7 +32,7 @@ import numpy as np
 from pxr import Sdf, Usd
 
 from echelon.errors import InputError
-from echelon.export.road_cameras import ROAD_CAMERAS, camera_way
+from echelon.export.road_cameras import ROAD_CAMERAS, camera_ways
 from echelon.export.road_scene import RoadScene, is_road, road_scene
 from echelon.export.stage import scene
 from echelon.export.stage.camera import APERTURE, CameraMove, framed, looking
@@ -60,6 +63,7 @@ Progress = Callable[[int, int], None]
 VARIANT_SET = "representation"
 RIG_AGENT_LIMIT = 150  # beyond which rigs make a stage that is slow to open
 LARGEST_FILE_TRANSFORMS = 3_000_000  # of links, over all frames, in one file; more are written clip by clip
+FRAMES_AT_ONCE = 512  # read from the recording
 CLIP_TRANSFORMS = 500_000  # of links, over the frames of a value clip
 
 
@@ -218,13 +222,17 @@ def _define_static(
 
 def _camera_moves(recording: Recording, road: RoadScene | None) -> dict[str, CameraMove]:
     """Cameras by name."""
-    places = np.asarray(recording.link_poses[:, :, 0, :3], dtype=np.float64)
+    # Bit by bit: what is read at once stays in memory until it has been put together.
+    steps = range(0, recording.frame_count, FRAMES_AT_ONCE)
+    places = np.concatenate(
+        [np.array(recording.link_poses[first : first + FRAMES_AT_ONCE, :, 0, :3], dtype=np.float64) for first in steps]
+    )
     if road is None:
         others = np.asarray(recording.actor_poses[:], dtype=np.float64)[..., :3].reshape(len(places), -1, 3)
         return {"main": framed(places, others, recording.frame_rate)}
     blocked = np.concatenate([np.empty((0, 2)), *[placed.positions[:, :2] for placed in road.placed]])
-    aspect = APERTURE[0] / APERTURE[1]
-    return {name: looking(camera_way(name, places, recording.frame_rate, aspect, blocked)) for name in ROAD_CAMERAS}
+    ways = camera_ways(ROAD_CAMERAS, places, recording.frame_rate, APERTURE[0] / APERTURE[1], blocked)
+    return {name: looking(way) for name, way in ways.items()}
 
 
 def _variant(crowd: Sdf.PrimSpec, name: str) -> Sdf.PrimSpec:
