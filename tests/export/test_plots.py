@@ -61,7 +61,7 @@ def test_recording_on_disk_gives_the_same_page(tmp_path: Path) -> None:
     run = scene_recording(4, 50)
     disk = plot_run(record_scene(run, tmp_path / "run.recording"), tmp_path / "disk.png")
     memory = plot_run(run, tmp_path / "memory.png")
-    different = np.abs(np.asarray(Image.open(disk)).astype(int) - np.asarray(Image.open(memory)).astype(int))
+    different = np.abs(_pixels(disk) - _pixels(memory))
     assert np.mean(different.max(axis=2) > 8) < 0.001
 
 
@@ -98,3 +98,8 @@ def test_bad_paths_are_one_clear_line(name: str, words: str, tmp_path: Path) -> 
         plot_run(scene_recording(2, 2), tmp_path / name)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def _pixels(picture: Path) -> np.ndarray:
+    """Colours of a picture, shape [rows, columns, 3]."""
+    return np.asarray(Image.open(picture).convert("RGB")).astype(int)
