@@ -95,7 +95,9 @@ def group(
     offset = riders.home[rider]
     if weights > 0.0:
         asked = (rules.distance_gain * goal[0] + rules.velocity_gain * drift) / weights
-        speed += wp.clamp(asked, -rules.grouping_limit, rules.grouping_limit)
+        # Whoever waits rides no slower than a little slower than the others, or the wait would end in a halt.
+        waiting = wp.min(speed, riders.along[rider] + drift / weights) - rules.grouping_limit
+        speed = wp.max(speed + wp.clamp(asked, -rules.grouping_limit, rules.grouping_limit), waiting)
         turn = rules.distance_gain * goal[1] / (weights * wp.max(speed, 1.0))
         offset += wp.clamp(turn * aim_distance(speed, rules), -rules.gathering, rules.gathering)
     finished = finish_frame_in[rider]

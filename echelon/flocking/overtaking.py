@@ -5,7 +5,7 @@ A few times a second each rider compares offsets across the road. What speaks ag
 * it is away from the wanted offset, and from the present one;
 * whoever rides there ahead is slower than one wants to ride, or so near that one would have to drop back;
 * somebody rides between here and there, or there;
-* an obstacle is in the way there, or near.
+* an obstacle or somebody who has fallen is in the way there, or near.
 
 What is chosen is kept for some seconds unless it turns out to be blocked, and given up only for something clearly
 better, so that nobody dithers. Riders choose in turn, a part of them in every frame, so that neighbours see one
@@ -22,8 +22,9 @@ import warp as wp
 
 from echelon.flocking.clearance import CLEAR_OF, clear_of, follow_speed, gap_to_plan, is_beside, is_left, lead_speed
 from echelon.flocking.corner_speeds import CornerSpeeds, corner_speed
-from echelon.flocking.road_obstacles import BLOCKED, RoadObstacles, obstacle_cost
+from echelon.flocking.road_obstacles import BLOCKED, RoadObstacles, hurry_cost, obstacle_cost
 from echelon.flocking.road_riders import (
+    FALLEN,
     RIDING,
     RidersSeen,
     RoadRiders,
@@ -85,6 +86,13 @@ def lane_cost(
                 fastest = follow_speed(ahead - rules.body_length, lead, riders.along[rider], rules)
                 clear = clear_of(wp.abs(gap_to_plan(lane, other, riders)) - width)
                 slower = wp.max(slower, pace - fastest - CLEAR_OF * clear)
+                if riders.presence[other] == FALLEN:
+                    gap = ahead - rules.body_length
+                    across = wp.abs(riders.offset[other] - riders.lane[rider]) + width
+                    if clear < 1.0:
+                        cost += BLOCKED
+                    elif (riders.offset[other] - riders.lane[rider]) * (riders.offset[other] - lane) < 0.0:
+                        cost += hurry_cost(gap, riders.along[rider], across, rider, rules, riders)
     return cost + between + wp.min(slower, SLOWEST_COUNTED)
 
 

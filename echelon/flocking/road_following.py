@@ -30,6 +30,7 @@ from echelon.flocking.road_riders import (
     left_of,
     level_tangent,
     on_map,
+    sideways_limit,
 )
 from echelon.terrain.spline import CentrelineData, centreline_curvature, centreline_position
 from echelon.warp_kernels.neighbours import CellTable
@@ -38,7 +39,6 @@ wp.set_module_options({"enable_backward": False})
 
 LANE_RATE = wp.constant(0.9)  # [1/s]; of the spring that moves the plan
 LANE_ACCELERATION = wp.constant(0.4)  # [m/s^2], at most
-SIDEWAYS_PART = wp.constant(0.1)  # of the speed, and as many m/s, is the speed sideways at most
 AIM_SIDEWAYS = wp.constant(1.5)  # [m]; the point steered for is never farther beside the plan than this
 
 
@@ -51,7 +51,7 @@ def move_plan(rider: int, rules: RoadRules, seen: RidersSeen, riders: RoadRiders
         goal = wp.clamp(0.5 * (free[0] + free[1]), room[0], room[1])
     lane = riders.lane[rider]
     rate = riders.lane_rate[rider]
-    fastest = wp.min(rules.sideways_speed, SIDEWAYS_PART * (riders.speed[rider] + 1.0))
+    fastest = sideways_limit(rider, rules, riders)
     push = LANE_RATE * (LANE_RATE * (goal - lane) - 2.0 * rate)
     rate += rules.step * wp.clamp(push, -LANE_ACCELERATION, LANE_ACCELERATION)
     rate = wp.clamp(rate, -fastest, fastest)

@@ -20,20 +20,21 @@ import numpy as np
 import warp as wp
 
 from echelon.errors import InputError
-from echelon.flocking.road_riders import RoadRiders, RoadRules, left_of, level_tangent, line_gap
+from echelon.flocking.road_riders import RoadRiders, RoadRules, left_of, level_tangent, line_gap, sideways_limit
 from echelon.scenario.road import ObstacleSettings, PelotonSettings
 from echelon.terrain.spline import Centreline, CentrelineData, centreline_grade, centreline_position
 
 wp.set_module_options({"enable_backward": False})
 
-LEAST_CLEARANCE = wp.constant(0.3)  # [m]; nobody plans to pass nearer than this
+LEAST_CLEARANCE = wp.constant(0.45)  # [m]; nobody plans to pass nearer than this
 NO_LIMIT = wp.constant(1.0e6)  # [m/s]
 SETTLING = wp.constant(1.5)  # [s]; how long it takes to begin and to end a move across the road
 KEEP_SIDE = wp.constant(5.0)  # [s]; an obstacle nearer than this bounds the room to move on its side
-BLOCKED = wp.constant(25.0)  # cost of an offset that an obstacle is in the way of, at least...
+BLOCKED = wp.constant(40.0)  # cost of an offset that an obstacle is in the way of, at least...
 BLOCKED_NEAR = wp.constant(100.0)  # ... and of one right ahead: what comes after it has time
 HALF_AS_BAD = wp.constant(40.0)  # [m]; half of that for an obstacle so far away
-HURRY = wp.constant(4.0)  # cost of each m/s that one must slow down by to get clear in time
+HURRY = wp.constant(4.0)  # cost of each m/s that one must slow down by to get clear in time...
+HURRY_AT_MOST = wp.constant(15.0)  # ... but no more than this: who is late goes on, and slowly
 NEARNESS = wp.constant(6.0)  # cost of each metre that the clearance falls short
 
 
@@ -133,19 +134,32 @@ def obstacle_cost(
                 cost += NEARNESS * wp.max(rules.obstacle_clearance - apart, 0.0)
                 now = riders.lane[rider]
                 if obstacle_apart(wp.min(lane, now), wp.max(lane, now), k, rules, obstacles) < LEAST_CLEARANCE:
+                    across = across_to_clear(now, lane, k, rules, obstacles)
                     closing = riders.along[rider] - obstacles.speed[k]
-                    in_time = wp.max(gap, 0.0) / clearing_time(now, lane, k, rules, obstacles)
-                    cost += HURRY * wp.max(closing - in_time, 0.0)
+                    cost += hurry_cost(gap, closing, across, rider, rules, riders)
     return cost
 
 
 @wp.func
-def clearing_time(now: float, lane: float, obstacle: int, rules: RoadRules, obstacles: RoadObstacles) -> float:
-    """How long it takes from one offset to be clear of an obstacle on the side of another [s]."""
+def across_to_clear(now: float, lane: float, obstacle: int, rules: RoadRules, obstacles: RoadObstacles) -> float:
+    """How far it is from one offset to be clear of an obstacle on the side of another [m]."""
     across = now - obstacles.low[obstacle]
     if lane > 0.5 * (obstacles.low[obstacle] + obstacles.high[obstacle]):
         across = obstacles.high[obstacle] - now
-    return SETTLING + wp.max(across + rules.body_half_width, 0.0) / rules.sideways_speed
+    return wp.max(across + rules.body_half_width, 0.0)
+
+
+@wp.func
+def time_across(across: float, rider: int, rules: RoadRules, riders: RoadRiders) -> float:
+    """How long it takes to move so far across the road [s]."""
+    return SETTLING + across / sideways_limit(rider, rules, riders)
+
+
+@wp.func
+def hurry_cost(gap: float, closing: float, across: float, rider: int, rules: RoadRules, riders: RoadRiders) -> float:
+    """Cost of having to slow down in order to be across before what is in the way has been reached."""
+    in_time = wp.max(gap, 0.0) / time_across(across, rider, rules, riders)
+    return wp.min(HURRY * wp.max(closing - in_time, 0.0), HURRY_AT_MOST)
 
 
 @wp.func
@@ -186,9 +200,10 @@ def speed_before_obstacles(
             # Behind a jogger one can ride; toward one who comes the other way there is only so much time.
             fastest = wp.max(moving, 0.0) + wp.min(wp.sqrt(2.0 * rules.braking * room), 0.5 * room)
             if obstacle_apart(target, target, k, rules, obstacles) >= LEAST_CLEARANCE:
-                to_left = clearing_time(low, target, k, rules, obstacles)
-                to_right = clearing_time(high, target, k, rules, obstacles)
-                fastest = wp.max(fastest, moving + room / wp.max(to_left, to_right))
+                from_low = across_to_clear(low, target, k, rules, obstacles)
+                from_high = across_to_clear(high, target, k, rules, obstacles)
+                clearing = time_across(wp.max(from_low, from_high), rider, rules, riders)
+                fastest = wp.max(fastest, moving + room / clearing)
             limit = wp.min(limit, fastest)
     return limit
 

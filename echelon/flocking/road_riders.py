@@ -39,6 +39,7 @@ UNFINISHED = wp.constant(-(2**31))  # the number of no frame: a run-up before fr
 HEADING_SPEED = wp.constant(0.5)  # [m/s]; slower than this, a velocity says nothing about a heading
 FALLEN_HALF_WIDTH = wp.constant(0.9)  # [m]; who lies on the road takes up this much on either side
 SHORTEST_PART = wp.constant(0.2)  # of the centreline's length, that of a rider's line inside of a bend, at least
+SIDEWAYS_PART = wp.constant(0.1)  # of the speed and 1 m/s is the speed across the road, at most
 ELSEWHERE = wp.constant(2.0)  # riders farther along the road than this many times the visibility are on another stretch
 
 
@@ -274,6 +275,12 @@ def see(
             seen.ahead[rider, kept] = line_gap(path, riders.s[rider], riders.offset[rider], riders.s[other])
             kept += 1
     seen.found[rider] = kept
+
+
+@wp.func
+def sideways_limit(rider: int, rules: RoadRules, riders: RoadRiders) -> float:
+    """How fast a rider may move across the road at the present speed [m/s]."""
+    return wp.min(rules.sideways_speed, SIDEWAYS_PART * (riders.speed[rider] + 1.0))
 
 
 # ---- what takes up room on the road? ---------------------------------------------------------------------------------

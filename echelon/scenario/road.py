@@ -116,7 +116,7 @@ class PelotonSettings:
     slowest: Annotated[float, Within("m/s", at_least=0, at_most=5)] = 2.0
     edge_margin: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.9
     side_clearance: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.4
-    obstacle_clearance: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.6
+    obstacle_clearance: Annotated[float, Within("m", at_least=0, at_most=5)] = 0.7
     gap: Annotated[float, Within("m", at_least=0.1, at_most=50)] = 0.9
     headway: Annotated[float, Within("s", at_least=0, at_most=5)] = 0.05
     sideways_speed: Annotated[float, Within("m/s", above=0, at_most=5)] = 0.6

@@ -8,6 +8,7 @@ against drag, rolling resistance and grade, and brakes no harder than at 1.5 m/s
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -111,8 +112,15 @@ class PelotonRun:
         self.frame = 0
         self.positions = wp.zeros(count, dtype=wp.vec3, device="cpu")
         self.velocities = wp.zeros(count, dtype=wp.vec3, device="cpu")
-        self.commands = wp.zeros((count, 4), dtype=wp.float32, device="cpu")
+        self.commands: Any = wp.zeros((count, 4), dtype=wp.float32, device="cpu")
         self.fallen = wp.zeros(count, dtype=wp.int32, device="cpu")
+
+    def put(self, s: np.ndarray, offsets: np.ndarray, speeds: np.ndarray | float) -> None:
+        """Put everybody at places along the road, riding along it."""
+        tangents = self.path.tangent(s)
+        self.cyclists.places[:] = self.path.position(s)[:, :2] + np.asarray(offsets)[:, None] * self.path.left(s)
+        self.cyclists.headings[:] = np.arctan2(tangents[:, 1], tangents[:, 0])
+        self.cyclists.speeds[:] = speeds
 
     def want(self) -> np.ndarray:
         """Let everybody see and want; the commands, shape [riders, 4], valid until the next call."""
