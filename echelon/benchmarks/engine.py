@@ -28,6 +28,7 @@ from echelon.benchmarks.compile_time import compile_time
 from echelon.benchmarks.engine_report import LARGEST_STEP, SAME_STEP, print_table
 from echelon.benchmarks.engine_runs import CYCLIST, HOPPER, character_of, start_run, stride_of
 from echelon.benchmarks.machine import machine_name, package_versions
+from echelon.benchmarks.riding_run import RIDING_STRIDE
 from echelon.benchmarks.sanity import Verdict
 from echelon.benchmarks.timed_engine import STRIDE, Run, Stride
 from echelon.errors import InputError
@@ -51,9 +52,8 @@ TRIAL_ROUNDS = 10
 CHOOSING_ROUNDS = 3  # in which MuJoCo's integrators compete
 
 LADDER = (STRIDE, Stride(16, 4), Stride(8, 2))
-"""From small steps to large, all with 120 control ticks a second."""
-RIDING_LADDER = (Stride(40, 10), Stride(36, 9), Stride(32, 8), Stride(28, 7), Stride(24, 6))
-"""Likewise."""
+"""From small steps to large, all with the control ticks of scenarios: 120 a second, riders' 90."""
+RIDING_LADDER = (RIDING_STRIDE, Stride(27, 9), Stride(24, 8), Stride(21, 7), Stride(18, 6))
 FLIGHT_LADDER = (STRIDE, Stride(16, 2), Stride(10, 1), Stride(8, 1), Stride(4, 1))
 RUNGE_KUTTA_STRIDE = Stride(40, 5)  # a step at which MuJoCo's is stable too
 PEER_LADDER = (1 / 720, 1 / 480, 1 / 300, 1 / 240, 1 / 180, 1 / 120)
