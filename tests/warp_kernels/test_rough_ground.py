@@ -1,6 +1,6 @@
 """Ground that is not a plane: every site that stands on it has a plane of its own, every tick."""
 
-# pyright: reportGeneralTypeIssues=false
+# pyright: reportArgumentType=false, reportCallIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 # (Warp's types mean other things to it than to Python.)
 
 from __future__ import annotations

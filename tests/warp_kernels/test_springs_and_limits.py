@@ -273,7 +273,7 @@ def test_a_ball_servo_turns_back_the_shorter_way():
 class Holding(ServoedBody):
     """Holds on by its spring as long as its memory says so."""
 
-    memory = ServoedBody.memory | {"hold": 1.0}
+    memory = {**ServoedBody.memory, "hold": 1.0}
 
     def actuate(self, view: View, joints: JointForces) -> None:
         super().actuate(view, joints)
