@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -273,7 +274,7 @@ def test_a_ball_servo_turns_back_the_shorter_way():
 class Holding(ServoedBody):
     """Holds on by its spring as long as its memory says so."""
 
-    memory = {**ServoedBody.memory, "hold": 1.0}
+    memory: Mapping[str, float] = {**ServoedBody.memory, "hold": 1.0}
 
     def actuate(self, view: View, joints: JointForces) -> None:
         super().actuate(view, joints)
