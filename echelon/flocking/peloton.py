@@ -160,6 +160,7 @@ class Peloton:
         self._frame = wp.zeros(1, dtype=wp.int32, device=device)
         self._nobody_fell = wp.zeros(count, dtype=wp.int32, device=device)
         self._nowhere = wp.zeros(1, dtype=wp.vec4, device=device)
+        self._no_wish = wp.zeros(1, dtype=wp.float32, device=device)
         self._graphs: dict[tuple[int | None, ...], tuple[wp.Graph, tuple[Any, ...]]] = {}
         self.set_frame(-1)
         self._enqueue_obstacles()
@@ -209,7 +210,7 @@ class Peloton:
         )
         count, rate = self._count, self._frame_rate
         user = self._nowhere if self.user is None else self.user.seen
-        wish = self._nowhere if self.user is None else self.user.wish
+        wish = self._no_wish if self.user is None else self.user.wish
 
         self._enqueue_obstacles()
         wp.launch(clear_cells, self._table.heads.shape[0], outputs=[self._table], device=device)

@@ -72,18 +72,18 @@ def command(
     # state in and out
     riders: RoadRiders,
     # out
-    user_out: wp.array[wp.vec4],
+    wish_out: wp.array[wp.float32],
     commands_out: wp.array2d[wp.float32],
 ):
     """Tell everybody where to steer and how fast to ride: (velocity x, y [m/s], distance of the aim [m], shelter).
 
-    The user gets (aim x, y [m], speed [m/s], 0) instead.
+    The user gets a speed [m/s] and steers along its plan (`road_user`).
     """
     rider = wp.tid()
     if riders.presence[rider] != RIDING:
         riders.command_speed[rider] = 0.0
         if rider == rules.first_user:
-            user_out[0] = wp.vec4(0.0, 0.0, 0.0, 0.0)
+            wish_out[0] = 0.0
         else:
             for k in range(4):
                 commands_out[rider, k] = 0.0
@@ -98,6 +98,9 @@ def command(
     speed = wp.min(speed, speed_before_obstacles(rider, rules, path, riders, obstacles))
     speed = wp.max(speed, rules.slowest)
     riders.command_speed[rider] = speed
+    if rider == rules.first_user:
+        wish_out[0] = speed
+        return
 
     distance = aim_distance(riders.speed[rider], rules)
     lane = riders.lane[rider]
@@ -106,9 +109,6 @@ def command(
     bend = centreline_curvature(path, riders.s[rider] + 0.5 * distance)
     aim_s = riders.s[rider] + distance / wp.max(1.0 - bend * lane, 0.5)
     aim = on_map(centreline_position(path, aim_s)) + aim_offset * left_of(level_tangent(path, aim_s))
-    if rider == rules.first_user:
-        user_out[0] = wp.vec4(aim[0], aim[1], speed, 0.0)
-        return
     way = aim - table.places[rider]
     length = wp.max(wp.length(way), 1.0e-3)
     commands_out[rider, 0] = speed * way[0] / length

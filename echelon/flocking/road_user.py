@@ -1,7 +1,14 @@
-"""The user's bicycle on a road: simple dynamics that follow a point to steer for and a speed.
+"""The user's bicycle on a road: simple dynamics that follow the user's plan and a speed.
 
 It is the collie's bicycle (`echelon.flocking.bicycle`): limited acceleration, steering and lean, and no reverse. Added
 here is that it climbs no faster than its rider's power allows, and that its pose lies on the road.
+
+The plan is an offset and its rate of change. The rear wheel is brought there like a critically damped spring on top of
+the road's own bend: with y the offset, psi the angle between bicycle and road and v the speed,
+
+    curvature = bend + (omega / v)^2 (lane - y) - 2 (omega / v) (psi - lane_rate / v)
+
+Steering for a point ahead would cut corners by half a metre, into whoever rides beside.
 """
 
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
@@ -15,11 +22,17 @@ import math
 import numpy as np
 import warp as wp
 
-from echelon.flocking.bicycle import GRAVITY, Bicycle, BicycleLimits, direction, ride, steering_toward
-from echelon.flocking.road_riders import RoadRiders, RoadRules
+from echelon.flocking.bicycle import GRAVITY, Bicycle, BicycleLimits, angle_from, direction, ride
+from echelon.flocking.road_riders import RoadRiders, RoadRules, level_tangent
 from echelon.scenario import WorldSettings
 from echelon.scenario.road import UserSettings
-from echelon.terrain.spline import CentrelineData, centreline_closest, centreline_grade, centreline_position
+from echelon.terrain.spline import (
+    CentrelineData,
+    centreline_closest,
+    centreline_curvature,
+    centreline_grade,
+    centreline_position,
+)
 from echelon.terrain.walls import wall_grid
 
 wp.set_module_options({"enable_backward": False})
@@ -27,6 +40,10 @@ wp.set_module_options({"enable_backward": False})
 MAX_SPEED = 20.0  # [m/s]
 AIR_DENSITY = wp.constant(1.2)  # [kg/m^3]
 ROLLING = wp.constant(0.005)  # rolling resistance over weight
+PATH_RATE = wp.constant(1.5)  # [rad/s]; omega above
+STEERED_SPEED = wp.constant(2.0)  # [m/s]; slower than this it steers as if it rode at this speed
+STEERING_TIME = wp.constant(0.1)  # [s]; the bend so far ahead is steered for: the front wheel takes a while to turn
+SHARPEST = wp.constant(0.2)  # of the centreline's radius, that of a line inside of a bend, at least
 
 
 @wp.struct
@@ -53,6 +70,21 @@ def climbing_speed(grade: float, body: UserBody) -> float:
     return slow
 
 
+@wp.func
+def steering_along(rider: int, riders: RoadRiders, path: CentrelineData, limits: BicycleLimits) -> float:
+    """The steering angle that brings a bicycle's rear wheel onto its plan, and keeps it there [rad]."""
+    speed = wp.max(riders.speed[rider], STEERED_SPEED)
+    s = riders.s[rider]
+    offset = riders.offset[rider]
+    bend = centreline_curvature(path, s + STEERING_TIME * riders.speed[rider])
+    bend /= wp.max(1.0 - bend * offset, SHARPEST)
+    turned = angle_from(level_tangent(path, s), riders.heading[rider])
+    rate = PATH_RATE / speed
+    curvature = bend + rate * rate * (riders.lane[rider] - offset)
+    curvature -= 2.0 * rate * (turned - riders.lane_rate[rider] / speed)
+    return wp.clamp(wp.atan(limits.wheelbase * curvature), -limits.max_steering, limits.max_steering)
+
+
 @wp.kernel
 def steer_user(
     # model
@@ -61,16 +93,15 @@ def steer_user(
     body: UserBody,
     path: CentrelineData,
     # state in
-    wish_in: wp.array[wp.vec4],
+    wish_in: wp.array[wp.float32],
     riders: RoadRiders,
-    bicycle: Bicycle,
     # out
     command_out: wp.array[wp.vec2],
 ):
-    """Speed and steering angle from (aim x, y, speed, 0); one thread."""
-    wish = wish_in[0]
-    speed = wp.min(wish[2], climbing_speed(centreline_grade(path, riders.s[rules.first_user]), body))
-    command_out[0] = wp.vec2(speed, steering_toward(wp.vec2(wish[0], wish[1]), bicycle, limits))
+    """Speed and steering angle from the speed that is wished for and the plan; one thread."""
+    user = rules.first_user
+    speed = wp.min(wish_in[0], climbing_speed(centreline_grade(path, riders.s[user]), body))
+    command_out[0] = wp.vec2(speed, steering_along(user, riders, path, limits))
 
 
 @wp.kernel
@@ -106,7 +137,7 @@ class RoadUser:
     """A simple bicycle on the road.
 
     Attributes:
-        wish: What to do: aim x, y [m], speed [m/s], 0; shape [1].
+        wish: How fast to ride [m/s], shape [1].
         seen: What others see of it: rear contact x, y [m], velocity x, y [m/s]; shape [1].
         pose: World pose; origin on the centreline's height halfway between the wheels, x forward, y left, z up and
             leaning; shape [1].
@@ -147,14 +178,14 @@ class RoadUser:
         self._bicycle = bicycle
         self._command = wp.zeros(1, dtype=wp.vec2, device=device)
         self._middle = wp.zeros(1, dtype=wp.vec4, device=device)
-        self.wish = wp.zeros(1, dtype=wp.vec4, device=device)
+        self.wish = wp.zeros(1, dtype=wp.float32, device=device)
         self.seen = wp.array([(*rear, *(speed * ahead))], dtype=wp.vec4, device=device)
         self.pose = wp.zeros(1, dtype=wp.transform, device=device)
 
     def enqueue(self, rules: RoadRules, path: CentrelineData, riders: RoadRiders) -> None:
         """Launch what takes it from this frame to the next; can be captured in a graph."""
         device = self._device
-        inputs = [rules, self._limits, self._body, path, self.wish, riders, self._bicycle]
+        inputs = [rules, self._limits, self._body, path, self.wish, riders]
         wp.launch(steer_user, dim=1, inputs=inputs, outputs=[self._command], device=device)
         inputs = [self._limits, self._walls, self._command, self._bicycle]
         wp.launch(ride, dim=1, inputs=inputs, outputs=[self._middle, self.pose], device=device)

@@ -54,6 +54,19 @@ def test_its_pose_lies_on_a_hilly_road_leans_into_bends_and_never_goes_back() ->
     assert run.peloton.referee.totals()["off_road"] == 0
 
 
+def test_it_does_not_cut_corners() -> None:
+    """Whoever rides beside has planned for it to keep its line."""
+    path = rounded(100.0, 50.0, 20.0)
+    run = PelotonRun(SETTINGS, path, count=1, user=UserSettings(keys=((0.0, 9.0, 0.5),)), laps=2)
+    run.advance(150)
+    astray = []
+    for _ in range(1500):
+        run.advance()
+        riders = run.peloton.riders
+        astray.append(float(riders.offset.numpy()[1] - riders.lane.numpy()[1]))
+    assert np.abs(astray).max() < 0.15
+
+
 def test_it_sees_obstacles_and_is_seen() -> None:
     user = UserSettings(ahead=60.0, keys=((0.0, 4.0, 0.0),))
     obstacles = (ObstacleSettings("car", 250.0, 0.0),)
