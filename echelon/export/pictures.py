@@ -121,7 +121,9 @@ def render_strip(
     camera: Camera | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write snapshots side by side, .png, all from one camera that stands still, each with its time.
+    """Write snapshots side by side, .png, each with its time, all from one camera that stands still.
+
+    Where the way from the first to the last is too long to be seen from one place, the camera follows.
 
     Args:
         source, path: As for `render_film`.
@@ -129,7 +131,7 @@ def render_strip(
         start: Time of the first [s]; None for the beginning.
         count: How many; None for as many as there are, five at most. More than six go into several rows.
         size: Of one snapshot, width and height [pixels].
-        camera: None frames all bodies of all snapshots; otherwise as for `render_film`, but that "follow" does not.
+        camera: None or "follow" frames all bodies of all snapshots; otherwise as for `render_film`.
         progress: Called with (snapshots done, snapshots to do).
 
     Raises:
@@ -148,9 +150,9 @@ def render_strip(
             f"snapshots {interval:g} s apart from {begin / shot.source.frame_rate:g} s on"
         )
     frames = [round(begin + index * step) for index in range(count)]
-    fixed = shot.common_view(frames) if camera in (None, "follow") else camera
+    chosen = shot.common_view(frames) or "follow" if camera in (None, "follow") else camera
     snapshots = []
-    for done, picture in enumerate(shot.pictures(frames, fixed), start=1):
+    for done, picture in enumerate(shot.pictures(frames, chosen), start=1):
         snapshots.append(_labelled(picture, f"{frames[done - 1] / shot.source.frame_rate:.2f} s"))
         if progress is not None:
             progress(done, count)
@@ -219,8 +221,8 @@ class _Shot:
         distances = np.linalg.norm(places - np.asarray(view.eye), axis=1)
         return self.size[1] / (2.0 * np.tan(0.5 * view.field_of_view) * np.maximum(distances, 1e-3))
 
-    def common_view(self, frames: Sequence[int]) -> View:
-        """One view of all bodies at all of some frames."""
+    def common_view(self, frames: Sequence[int]) -> View | None:
+        """One view of all bodies at all of some frames; None where they move too far for that."""
         return self._views.common(frames)
 
     def _poses(self, frames: Sequence[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:

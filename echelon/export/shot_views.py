@@ -29,6 +29,8 @@ ROAD_CAMERAS = ("follow", "overview", "roadside", "helicopter")
 ROAD_ELEVATIONS = tuple(np.radians((18.0, 26.0, 36.0, 50.0)).tolist())
 ROAD_AZIMUTHS = tuple(np.radians((-140.0, 140.0, -100.0, 100.0, -60.0, 60.0, -20.0, 20.0)).tolist())  # from its heading
 
+COMMON_REACH = 300.0  # [m]; a crowd that moves farther is not seen from one place
+
 _FRAMES_AT_ONCE = 64  # read from the recording
 
 
@@ -63,10 +65,12 @@ class ShotViews:
             return self._along_the_road(frames, camera)
         return self._following(frames)
 
-    def common(self, frames: Sequence[int]) -> View:
-        """One view of all bodies at all of some frames."""
-        places = [self._places(frame, frame + 1)[0] for frame in frames]
-        return self._fixed(np.concatenate(places), ELEVATION)
+    def common(self, frames: Sequence[int]) -> View | None:
+        """One view of all bodies at all of some frames; None where they move too far for that."""
+        places = np.concatenate([self._places(frame, frame + 1)[0] for frame in frames])
+        if np.linalg.norm(np.ptp(places.mean(axis=1), axis=0)) > COMMON_REACH:
+            return None
+        return self._fixed(places, ELEVATION)
 
     def _fixed(self, places: np.ndarray, elevation: float) -> View:
         """A view of bodies at places, frame by frame [m], shape [frames, bodies, 3]."""

@@ -141,6 +141,16 @@ def test_strip_from_one_place_shows_everybody(ride: Any, tmp_path: Path) -> None
         assert np.abs(panel - panels[0]).max() > 60
 
 
+@pytest.mark.usefixtures("gl")
+def test_strip_of_a_way_too_long_for_one_place_follows(ride: Any, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("echelon.export.shot_views.COMMON_REACH", 2.0)
+    strip = pixels(render_strip(ride, tmp_path / "strip.png", interval=0.6, count=3, size=SIZE))
+    for index in range(3):
+        still = pixels(render_still(ride, tmp_path / "still.png", time=0.6 * index, size=SIZE))
+        panel = strip[:, index * (SIZE[0] + 4) :][:, : SIZE[0]]
+        assert np.mean(np.abs(panel - still).max(axis=2) < 10) > 0.9  # but for the label
+
+
 def test_cameras_of_fields_are_refused_on_roads(ride: Any, tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match="camera 'corral' is not one of follow, overview, roadside, helicopter"
