@@ -7,6 +7,7 @@ from functools import cache, partial
 
 from echelon.agents.cyclist import Cyclist
 from echelon.agents.hopper import Hopper
+from echelon.agents.point_mass import PointMass
 from echelon.errors import InputError
 from echelon.warp_kernels.character import Character
 
@@ -14,6 +15,7 @@ CHARACTERS: Mapping[str, Callable[[], Character]] = {
     "hopper": Hopper,
     "cyclist": Cyclist,
     "cyclist-1995": partial(Cyclist, fifteen_segments=True),
+    "point-mass": PointMass,
 }
 
 

@@ -59,6 +59,7 @@ from echelon.agents.rider_body import (
     SIDES,
     RiderParameters,
     cyclist_model,
+    rider_capsules,
 )
 from echelon.agents.rider_limbs import ArmReach, leg_pose
 from echelon.agents.steering import (
@@ -72,7 +73,7 @@ from echelon.agents.steering import (
     pursuit_fork,
     wanted_curvature,
 )
-from echelon.warp_kernels.character import NO_EVENT, Population, View
+from echelon.warp_kernels.character import NO_EVENT, Capsule, Population, View
 from echelon.warp_kernels.contact import JointForces
 from echelon.warp_kernels.model import Model
 from echelon.warp_kernels.reference import Body
@@ -191,6 +192,7 @@ class Cyclist:
         self.fifteen_segments = fifteen_segments
         self.name = "cyclist-1995" if fifteen_segments else "cyclist"
         self.body = Body.from_dict(cyclist_model(self.rider, self.bicycle, fifteen_segments=fifteen_segments).to_dict())
+        self.capsules: tuple[Capsule, ...] = rider_capsules(self.rider, self.bicycle)
         self._arms = ArmReach(self.rider, self.bicycle)
         self._axes = _axes_by_name(self.body)
         self._limits = _limits(self.body, self._axes)

@@ -25,6 +25,7 @@ from echelon.agents import rider_looks as looks
 from echelon.agents.bicycle import FORK, FRAME, BicycleParameters, bicycle_links, wheel_sites
 from echelon.agents.bicycle_looks import crank_visuals
 from echelon.errors import InputError
+from echelon.warp_kernels.character import Capsule
 from echelon.warp_kernels.model import ContactSite, Joint, Link, Matrix3, Model, Spring, Vec3, Visual
 
 SIDES = (("left", 1.0), ("right", -1.0))
@@ -329,6 +330,23 @@ def rider_sites(rider: RiderParameters, bicycle: BicycleParameters, *, head_and_
         use="rare",
     )
     return (*grounded, bumper)
+
+
+def rider_capsules(rider: RiderParameters, bicycle: BicycleParameters) -> tuple[Capsule, ...]:
+    """What other riders touch, in the frame's axes: trunk and arms, and the bicycle with feet on its pedals.
+
+    The upper one reaches from the hips to where head and bars are, and is as wide as shoulders and bars; the lower one
+    from wheel to wheel.
+    """
+    stature = rider.upper_leg_length / 0.44
+    x, _, z = bicycle.saddle
+    hips, ahead = (x + 0.05 * stature, 0.0, z + 0.10 * stature), (bicycle.grip[0] - 0.19, 0.0, z + 0.25 * stature)
+    thick = 0.14
+    rear, front = bicycle.rear_wheel.radius, bicycle.front_wheel.radius
+    return (
+        Capsule(hips, ahead, 0.25 * stature),
+        Capsule((thick - rear, 0.0, rear), (bicycle.wheelbase + front - thick, 0.0, front), thick),
+    )
 
 
 def cyclist_model(rider: RiderParameters, bicycle: BicycleParameters, *, fifteen_segments: bool) -> Model:

@@ -16,11 +16,29 @@ import numpy as np
 
 from echelon.warp_kernels.articulated import Kinematics
 from echelon.warp_kernels.contact import Contact, JointForces, strain_count
-from echelon.warp_kernels.model import Model
+from echelon.warp_kernels.model import Model, Vec3
 from echelon.warp_kernels.reference import Body
 
 NO_EVENT = -1.0
 """Value of an event's latch while nothing has happened in this frame."""
+
+LOST, HELD, REMOVED = 1.0, 2.0, 3.0
+"""Values of `StateLayout.frozen` of an agent that nothing moves: its state stopped being finite, somebody else says
+where it is, or it is no longer there for others to see. Zero for all others."""
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """All points nearer than a radius to a line segment.
+
+    Attributes:
+        start, end: Of the segment [m].
+        radius: [m].
+    """
+
+    start: Vec3
+    end: Vec3
+    radius: float
 
 
 @dataclass
@@ -76,6 +94,8 @@ class Population:
 class Character(Protocol):
     """A body with a controller.
 
+    A character that others can touch also has `capsules`, `Capsule`s in the axes of its first link (see `meeting`).
+
     Attributes:
         name: As scenarios call it.
         body: What it is made of.
@@ -124,8 +144,10 @@ class StateLayout:
         strain: Index of the first strain of each contact site, by place in the model's list.
         memory: Index of each memory variable by name.
         substep: Index of the substep counter.
-        frozen: Index of the flag of an agent whose state stopped being finite.
+        frozen: Index of the flag of an agent that stays as it is (see `LOST`).
         size: Number of variables.
+        touch: Index of the substep in which another was touched first in this frame (`NO_EVENT` if nobody was), and
+            after it that of the frame before; None for those who touch nobody.
     """
 
     q: int
@@ -135,10 +157,11 @@ class StateLayout:
     substep: int
     frozen: int
     size: int
+    touch: int | None = None
 
     @classmethod
-    def of(cls, model: Model, memory: Mapping[str, float]) -> StateLayout:
-        """The layout for a model and a controller's memory."""
+    def of(cls, model: Model, memory: Mapping[str, float], meets: bool = False) -> StateLayout:
+        """The layout for a model and a controller's memory, of a character that meets others or does not."""
         u = model.q_count
         at = u + model.u_count
         strain: list[int] = []
@@ -147,4 +170,6 @@ class StateLayout:
             at += strain_count(site)
         places = {name: at + i for i, name in enumerate(memory)}
         at += len(places)
+        if meets:
+            return cls(0, u, tuple(strain), places, at, at + 1, at + 4, at + 2)
         return cls(0, u, tuple(strain), places, at, at + 1, at + 2)

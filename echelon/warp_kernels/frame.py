@@ -9,23 +9,25 @@ operation is elementwise across lanes, and padding lanes hold an agent that nobo
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
 
-from echelon.warp_kernels.character import Character
+from echelon.warp_kernels.bumper import bumper_of
+from echelon.warp_kernels.character import LOST, Character
 from echelon.warp_kernels.emit import Target, host_lanes
 from echelon.warp_kernels.frame_kernel import compiled_program, frame_kernel, type_of
+from echelon.warp_kernels.meetings import ContactSettings, Meetings, NobodyMet
 from echelon.warp_kernels.program import PLANE_SIZE, POSE_SIZE, Integrator
+from echelon.warp_kernels.replay import Graphs, Team, slices
 from echelon.warp_kernels.start import start_warp
 
-THREAD_WORK = 4_000_000
+THREAD_WORK = 8_000_000
 """Agents times substeps times operations that are worth waking a second thread for, per frame."""
 
 
@@ -68,6 +70,8 @@ class ChunkArrays:
         fallen: 1 where the agent has fallen,                     shape [frames, agents], uint8
         frozen: 1 where its state stopped being finite,           shape [frames, agents], uint8
         events: Substep of each of the character's events or -1,  shape [frames, agents, events], int16
+        touches: Substep in which another was touched, who was
+            not in the frame before, or -1,                       shape [frames, agents], int16
     """
 
     poses: wp.array
@@ -80,6 +84,7 @@ class ChunkArrays:
     fallen: wp.array
     frozen: wp.array
     events: wp.array
+    touches: wp.array
 
     @classmethod
     def allocate(cls, frames: int, agents: int, character: Character, device: wp.DeviceLike = None) -> ChunkArrays:
@@ -100,6 +105,7 @@ class ChunkArrays:
             fallen=zeros((frames, agents), wp.uint8),
             frozen=zeros((frames, agents), wp.uint8),
             events=zeros((frames, agents, max(events, 1)), wp.int16),
+            touches=wp.full((frames, agents), -1, dtype=wp.int16, device=device),
         )
 
 
@@ -115,8 +121,25 @@ class Engine:
         tick: Substeps a control tick; divides `substeps`.
         integrator: "semi-implicit" or "rk4".
         lanes: Agents a vector; 0 for what the machine has (1 on a GPU).
-        threads: Threads on a CPU; 0 decides by the work there is.
+        threads: Threads on a CPU at most, 0 for one a core; no more are used than there is work for.
         device: A Warp device.
+        first_agent: Number in the crowd of the first of them: a process may have a part of a crowd (`echelon.ranks`).
+        crowd_count: How many the whole crowd is; None where this is all of it.
+        contact: What it is like when characters touch; None where they pass through each other, as they do if the
+            character has no capsules.
+
+    State, parameters and origins are of these agents, by index among them. What agents see of one another, and the
+    commands, are by number in the crowd; the engine writes and reads the rows of its own:
+
+    Attributes:
+        public: What agents see of one another by name, each of shape [crowd]: "positions" [m] and "velocities" [m/s]
+            of the root in the world (vec3), "fallen", 1 for those who have and 2 while they get up (int32).
+            Who has been removed is nowhere: the position is not finite. With contact also "places" (vec3d),
+            "attitudes" (quat), "spins" (vec3) and "bearings" (int32); see `ghosts.PublicMotion`.
+        command: Shape [crowd, commands].
+        mine: Which rows of these are this engine's.
+        team: Its threads, which the group layer shares.
+        meetings: Whom its agents meet; None without contact.
     """
 
     def __init__(
@@ -132,6 +155,9 @@ class Engine:
         lanes: int = 0,
         threads: int = 0,
         device: str = "cpu",
+        first_agent: int = 0,
+        crowd_count: int | None = None,
+        contact: ContactSettings | None = None,
     ) -> None:
         start_warp()
         cuda = device.startswith("cuda")
@@ -141,14 +167,20 @@ class Engine:
         self.character = character
         self.terrain = terrain
         self.agent_count = agent_count
+        self.first_agent = first_agent
+        self.crowd_count = agent_count if crowd_count is None else crowd_count
+        self.mine = slice(first_agent, first_agent + agent_count)
+        if not 0 <= first_agent <= self.crowd_count - agent_count:
+            raise ValueError(f"agents {first_agent} to {first_agent + agent_count - 1} are not of {self.crowd_count}")
         self.frame_rate = frame_rate
         self.substeps = substeps
         self.tick = tick
         self.lanes = lanes
         self.device = device
         self.step = 1.0 / (frame_rate * substeps)
+        bumper = bumper_of(character, self.step) if contact is not None else None
         self.program = compiled_program(
-            character, self.step, tick * self.step, integrator, Target(lanes, cuda), terrain.level
+            character, self.step, tick * self.step, integrator, Target(lanes, cuda), terrain.level, bumper
         )
         self.layout = self.program.layout
         self.block_count = -(-agent_count // lanes)
@@ -160,11 +192,27 @@ class Engine:
 
         self.state = zeros(self.layout.size)
         self.parameters = zeros(len(character.parameters))
-        self.command = wp.zeros((agent_count, max(len(character.commands), 1)), dtype=wp.float32, device=device)
+        crowd = self.crowd_count
+        self.command = wp.zeros((crowd, max(len(character.commands), 1)), dtype=wp.float32, device=device)
         self._command_lanes = zeros(len(character.commands))
-        self.positions = wp.zeros(agent_count, dtype=wp.vec3, device=device)
-        self.velocities = wp.zeros(agent_count, dtype=wp.vec3, device=device)
-        self.fallen = wp.zeros(agent_count, dtype=wp.int32, device=device)
+        self.public: dict[str, wp.array] = {
+            "positions": wp.zeros(crowd, dtype=wp.vec3, device=device),
+            "velocities": wp.zeros(crowd, dtype=wp.vec3, device=device),
+            "fallen": wp.zeros(crowd, dtype=wp.int32, device=device),
+        }
+        self.meetings: Meetings | None = None
+        if bumper is not None and contact is not None:
+            self.meetings = Meetings(
+                bumper,
+                contact,
+                gravity=character.body.gravity,
+                substep=self.step,
+                frame=1.0 / frame_rate,
+                shape=(self.block_count, lanes),
+                agents=(first_agent, agent_count, crowd),
+                device=device,
+            )
+            self.public |= self.meetings.public
         self.origins = wp.zeros((self.block_count * lanes, 3), dtype=wp.float64, device=device)
         self._backup = zeros(self.layout.size)
         self._places = zeros(3 * len(self.program.located_sites))
@@ -173,9 +221,8 @@ class Engine:
         self._event_places = wp.array(
             [self.layout.memory[name] for name in character.events] or [0], dtype=int, device=device
         )
-        self._slices = self._divide(threads)
-        self._pool = ThreadPoolExecutor(len(self._slices) - 1) if len(self._slices) > 1 else None
-        self._graphs: list[Any] = []
+        self.team = Team(self._worthwhile_threads(threads))
+        self._graphs: Graphs | None = None
         # Slot of the chunk and number of ticks of the next frame: read by the kernel, so that launches never change.
         self._clock = wp.zeros(2, dtype=wp.int32, device=device)
         self._clock_on_host = None if cuda else self._clock.numpy()
@@ -230,7 +277,7 @@ class Engine:
     def set_command(self, name: str, values: np.ndarray) -> None:
         """One command, shape [agents]."""
         host = self.command.numpy()
-        host[:, self.character.commands.index(name)] = values
+        host[self.mine, self.character.commands.index(name)] = values
         self.command.assign(host)
 
     def set_origins(self, origins: np.ndarray) -> None:
@@ -258,70 +305,85 @@ class Engine:
     @property
     def frozen(self) -> np.ndarray:
         """Which agents' state stopped being finite, shape [agents], bool."""
-        return self._gather(self.state, self.layout.frozen, 1)[:, 0] > 0.5
+        return self._gather(self.state, self.layout.frozen, 1)[:, 0] == LOST
+
+    @property
+    def positions(self) -> wp.array:
+        """Of roots in the world [m], vec3, shape [crowd]."""
+        return self.public["positions"]
+
+    @property
+    def velocities(self) -> wp.array:
+        """Of roots in the world [m/s], vec3, shape [crowd]."""
+        return self.public["velocities"]
+
+    @property
+    def fallen(self) -> wp.array:
+        """1 for those who have fallen, int32, shape [crowd]."""
+        return self.public["fallen"]
 
     def full_state(self) -> dict[str, np.ndarray]:
-        """Everything that the next frame depends on, by agent: for checkpoints, and for comparing runs."""
+        """Everything that the next frame depends on: for checkpoints, and for comparing runs.
+
+        Each array has a row for each of this engine's agents. What an agent sees of others is in their rows.
+        """
         return {
             "state": self._gather(self.state, 0, self.layout.size),
             "parameters": self._gather(self.parameters, 0, max(len(self.program.parameter_names), 1)),
             "origins": self.origins.numpy()[: self.agent_count].copy(),
-            "positions": self.positions.numpy().copy(),
-            "velocities": self.velocities.numpy().copy(),
-            "down": self.fallen.numpy().copy(),
-            "command": self.command.numpy().copy(),
+            "command": self.command.numpy()[self.mine].copy(),
+            **{f"public.{name}": array.numpy()[self.mine].copy() for name, array in self.public.items()},
+            **({} if self.meetings is None else {"pressed": self.meetings.pressed.numpy()[: self.agent_count].copy()}),
         }
 
     def load_full_state(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Back to what `full_state` gave."""
-        self._assign(self.state, 0, arrays["state"], self.layout.size)
-        self._assign(self.parameters, 0, arrays["parameters"], max(len(self.program.parameter_names), 1))
-        self.set_origins(arrays["origins"])
-        self.positions.assign(arrays["positions"])
-        self.velocities.assign(arrays["velocities"])
-        self.fallen.assign(arrays["down"])
+        """Back to what `full_state` gave, of the whole crowd: with a row for each agent of it."""
+        mine = {name: array[self.mine] for name, array in arrays.items()}
+        self._assign(self.state, 0, mine["state"], self.layout.size)
+        self._assign(self.parameters, 0, mine["parameters"], max(len(self.program.parameter_names), 1))
+        self.set_origins(mine["origins"])
         self.command.assign(arrays["command"])
+        if self.meetings is not None:
+            self.meetings.set_pressed(mine["pressed"])
+        for name, array in self.public.items():
+            array.assign(arrays[f"public.{name}"])
 
     # ---- frames ----------------------------------------------------------------------------------------------------
-    def _divide(self, threads: int) -> list[tuple[int, int]]:
-        """(first block, count) for each thread."""
+    def load(self) -> None:
+        """Load the frame kernel, compiling it where nobody has compiled it before."""
+        wp.load_module(self._kernel.module, device=self.device)
+        if self.meetings is not None:
+            self.meetings.load()
+
+    def _worthwhile_threads(self, threads: int) -> int:
+        """As many of the threads (0 for one a core) as there is work for: waking one takes time, too."""
         if self.device != "cpu":
-            return [(0, self.block_count)]
-        if threads <= 0:
-            work = self.agent_count * self.substeps * self.program.substep_operations
-            threads = min(os.cpu_count() or 1, max(1, work // THREAD_WORK))
-        threads = max(1, min(threads, self.block_count))
-        bounds = [self.block_count * i // threads for i in range(threads + 1)]
-        return [(a, b - a) for a, b in itertools.pairwise(bounds)]
+            return 1
+        work = self.agent_count * self.substeps * self.program.substep_operations
+        return max(1, min(threads or available_cores(), work // THREAD_WORK, self.block_count))
 
     def bind(self, chunk: ChunkArrays) -> None:
         """Choose the chunk that frames are observed into, and capture the launches, so that repeating them is cheap."""
         self._chunk = chunk
-        wp.load_module(self._kernel.module, device=self.device)
-        self._graphs = []
-        for first, count in self._slices:
-            with wp.ScopedCapture(device=self.device) as capture:
-                wp.launch(
-                    self._kernel,
-                    dim=count,
-                    inputs=[first, self.agent_count, self.tick, self._clock, self.terrain.data]
-                    + [self._event_places, self.parameters, self.command],
-                    outputs=[self.state, self.origins, self._command_lanes, self._backup]
-                    + [self._places, self._planes, self._seen]
-                    + [self.positions, self.velocities, self.fallen, chunk.poses, chunk.origins, chunk.velocities]
-                    + [
-                        chunk.desired,
-                        chunk.measures,
-                        chunk.phases,
-                        chunk.contacts,
-                        chunk.fallen,
-                        chunk.frozen,
-                        chunk.events,
-                    ],
-                    device=self.device,
-                    block_dim=64,
-                )
-            self._graphs.append(capture.graph)
+        self.load()
+        meetings = self.meetings or NobodyMet(self.device)
+        outputs = [self.state, self.origins, self._command_lanes, self._backup, self._places, self._planes, self._seen]
+        outputs += [meetings.ghosts, self.positions, self.velocities, self.fallen, *meetings.public.values()]
+        outputs += [meetings.pressed]
+        outputs += [chunk.poses, chunk.origins, chunk.velocities]
+        outputs += [chunk.desired, chunk.measures, chunk.phases, chunk.contacts, chunk.fallen, chunk.frozen]
+        outputs += [chunk.events, chunk.touches]
+
+        def launch(first: int, count: int) -> None:
+            inputs = [first, self.agent_count, self.first_agent, self.tick, self._clock, self.terrain.data]
+            inputs += [self._event_places, self.parameters, self.command, meetings.law, meetings.counts]
+            inputs += [meetings.indices]
+            wp.launch(self._kernel, count, inputs=inputs, outputs=outputs, device=self.device, block_dim=64)
+
+        phases = [[partial(launch, *part) for part in slices(self.block_count, self.team.size)]]
+        if self.meetings is not None:
+            phases = self.meetings.phases(self.team.size, self.state, self.origins, self.velocities) + phases
+        self._graphs = Graphs(phases, self.device)
 
     def advance(self, slot: int, *, observe_only: bool = False) -> None:
         """Carry everybody through one frame and leave what is seen in a slot of the bound chunk.
@@ -330,22 +392,22 @@ class Engine:
             slot: Frame within the chunk.
             observe_only: Do not move; only observe (the first frame of a run).
         """
+        if self._graphs is None:
+            raise ValueError("there is no chunk to observe into; bind one first")
         ticks = 0 if observe_only else self.substeps // self.tick
         if self._clock_on_host is not None:
             self._clock_on_host[:] = (slot, ticks)
         else:
             self._clock.assign(np.array([slot, ticks], dtype=np.int32))
-        if self._pool is None:
-            for graph in self._graphs:
-                wp.capture_launch(graph)
-            return
-        waiting = [self._pool.submit(wp.capture_launch, graph) for graph in self._graphs[1:]]
-        wp.capture_launch(self._graphs[0])
-        for future in waiting:
-            future.result()
+        self._graphs.replay(self.team)
 
     def close(self) -> None:
         """Let the threads go."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        self.team.close()
+
+
+def available_cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

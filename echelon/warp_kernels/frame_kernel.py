@@ -22,8 +22,12 @@ from typing import Any
 
 import warp as wp
 
-from echelon.warp_kernels.character import Character
+from echelon.warp_kernels.character import HELD, LOST, REMOVED, Character
 from echelon.warp_kernels.emit import Target, cpu_compiler_flags
+from echelon.warp_kernels.ghosts import CARRIED, FALLING, LYING, UNTOUCHABLE
+from echelon.warp_kernels.meeting import GHOST_MOTION, GHOSTS, PAIR_MEMORY, Bumper
+from echelon.warp_kernels.meeting_code import DUE_SIZE, absent_ghost
+from echelon.warp_kernels.neighbours import NOBODY
 from echelon.warp_kernels.program import POSE_SIZE, Integrator, Program
 
 SURFACES = {"ground": 0, "wall": 1}
@@ -36,10 +40,16 @@ def type_of(data: Any) -> Any:
 
 @lru_cache(maxsize=32)
 def compiled_program(
-    character: Character, step: float, tick: float, integrator: Integrator, target: Target, level: bool
+    character: Character,
+    step: float,
+    tick: float,
+    integrator: Integrator,
+    target: Target,
+    level: bool,
+    bumper: Bumper | None = None,
 ) -> Program:
     """The program of a character, made once."""
-    return Program(character, step, tick, integrator, target, level)
+    return Program(character, step, tick, integrator, target, level, bumper)
 
 
 @lru_cache(maxsize=64)
@@ -77,6 +87,15 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
     frozen_at = layout.frozen
     root_q = layout.q
     velocity_at = POSE_SIZE * link_count
+    meets = program.bumper is not None
+    if meets and not floats:
+        raise ValueError(f"character {program.character.name!r} is tied to the world and cannot meet others")
+    touch_at = layout.touch or 0
+    absent = absent_ghost(program.bumper).tolist() if program.bumper is not None else [0.0]
+    ghost_numbers = len(absent)
+    pair_count = program.bumper.pair_count if program.bumper is not None else 1
+    given_at = GHOST_MOTION - 3
+    absent_numbers = wp.types.vector(length=ghost_numbers, dtype=wp.float32)(*absent)
 
     @wp.func
     def keep_plane(
@@ -148,10 +167,56 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
                 )
                 keep_plane(block, lane, site, look_up(0, point, terrain), origin, planes_out)
 
+    @wp.func
+    def most_ghosts(block: int, ghost_counts: wp.array[wp.int32], ghosts: wp.array3d[wp.float32]) -> int:
+        """The most ghosts that a lane of this block has; the other lanes get as many, far away."""
+        most = wp.int32(0)
+        for lane in range(lanes):
+            most = wp.max(most, ghost_counts[block * lanes + lane])
+        if most > 0:
+            for lane in range(lanes):
+                for ghost in range(ghost_counts[block * lanes + lane], most):
+                    for part in range(ghost_numbers):
+                        ghosts[block, DUE_SIZE + ghost * ghost_numbers + part, lane] = absent_numbers[part]
+        return most
+
+    @wp.func
+    def close_accounts(
+        block: int,
+        lane: int,
+        first_agent: int,
+        ghost_counts: wp.array[wp.int32],
+        ghost_indices: wp.array2d[wp.int32],
+        ghosts: wp.array3d[wp.float32],
+        partners_out: wp.array2d[wp.int32],
+        given_out: wp.array2d[wp.vec3],
+        pressed_out: wp.array2d[wp.float32],
+    ):
+        """Write down whom an agent met, what it gave them, and how far the springs between them are pressed."""
+        agent = block * lanes + lane
+        own = first_agent + agent
+        if ghost_counts[agent] == 0 and partners_out[own, 0] == NOBODY:
+            return
+        for ghost in range(GHOSTS):
+            if ghost < ghost_counts[agent]:
+                at = DUE_SIZE + ghost * ghost_numbers
+                partners_out[own, ghost] = ghost_indices[agent, ghost]
+                given_out[own, ghost] = wp.vec3(
+                    ghosts[block, at + given_at, lane],
+                    ghosts[block, at + given_at + 1, lane],
+                    ghosts[block, at + given_at + 2, lane],
+                )
+                for pair in range(pair_count):
+                    pressed = ghosts[block, at + GHOST_MOTION + PAIR_MEMORY * pair + 2, lane]
+                    pressed_out[agent, ghost * pair_count + pair] = pressed
+            else:
+                partners_out[own, ghost] = NOBODY
+
     @wp.kernel(module="unique", module_options=_module_options(program), enable_backward=False)
     def advance_frame(
         first_block: int,
         agent_count: int,
+        first_agent: int,
         tick: int,
         clock: wp.array[int],
         # where
@@ -160,6 +225,10 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
         # who
         parameters: wp.array3d[wp.float32],
         command: wp.array2d[wp.float32],
+        # whom they meet
+        law: wp.array[wp.float32],
+        ghost_counts: wp.array[wp.int32],
+        ghost_indices: wp.array2d[wp.int32],
         # state
         state: wp.array3d[wp.float32],
         origins: wp.array2d[wp.float64],
@@ -168,10 +237,18 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
         places: wp.array3d[wp.float32],
         planes: wp.array3d[wp.float32],
         seen: wp.array3d[wp.float32],
-        # out: what the group sees
+        ghosts: wp.array3d[wp.float32],
+        # out: what others see
         positions_out: wp.array[wp.vec3],
         velocities_out: wp.array[wp.vec3],
         fallen_out: wp.array[wp.int32],
+        places_out: wp.array[wp.vec3d],
+        attitudes_out: wp.array[wp.quat],
+        spins_out: wp.array[wp.vec3],
+        bearings_out: wp.array[wp.int32],
+        partners_out: wp.array2d[wp.int32],
+        given_out: wp.array2d[wp.vec3],
+        pressed_out: wp.array2d[wp.float32],
         # out: the recording
         poses_out: wp.array4d[wp.float32],
         origins_out: wp.array3d[wp.float64],
@@ -183,6 +260,7 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
         chunk_fallen_out: wp.array2d[wp.uint8],
         frozen_out: wp.array2d[wp.uint8],
         events_out: wp.array3d[wp.int16],
+        touches_out: wp.array2d[wp.int16],
     ):
         block = first_block + wp.tid()
         slot = clock[0]
@@ -200,10 +278,13 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
                             place = later_root_places[root] + axis
                             state[block, place, lane] = state[block, place, lane] - shift
             for part in range(command_count):
-                command_lanes[block, part, lane] = command[wp.min(agent, agent_count - 1), part]
+                command_lanes[block, part, lane] = command[first_agent + wp.min(agent, agent_count - 1), part]
         begin(state, backup, block)
         for lane in range(lanes):
             look_up_at_root(block, lane, terrain, state, origins, planes)
+        meeting = wp.int32(0)
+        if wp.static(meets):
+            meeting = most_ghosts(block, ghost_counts, ghosts)
 
         for _ in range(tick_count):
             if wp.static(rough):
@@ -211,7 +292,7 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
                 for lane in range(lanes):
                     look_up_at_sites(block, lane, terrain, origins, places, planes)
             control(state, parameters, command_lanes, block)
-            substeps(state, parameters, command_lanes, planes, block, tick)
+            substeps(state, parameters, command_lanes, planes, ghosts, law, block, meeting, tick)
 
         # Whatever is not finite, or was frozen before, stays where it was at the start of the frame.
         keep_finite(state, backup, block)
@@ -224,28 +305,72 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
                     origins_out[slot, agent, axis] = origins[agent, axis]
                     chunk_velocities_out[slot, agent, axis] = seen[block, velocity_at + axis, lane]
                 for measure in range(measure_count):
-                    measures_out[slot, agent, measure] = state[block, measure_at[measure], lane]
+                    measured = state[block, measure_at[measure], lane]
+                    measures_out[slot, agent, measure] = wp.where(wp.isfinite(measured), measured, wp.float32(0.0))
                 phases_out[slot, agent] = wp.int8(state[block, phase_at, lane])
                 for part in range(command_count):
                     chunk_desired_out[slot, agent, part] = command_lanes[block, part, lane]
                 contacts_out[slot, agent] = wp.uint8(wp.where(state[block, loaded_at, lane] > 0.5, 1, 0))
-                lost = wp.where(state[block, frozen_at, lane] > 0.5, 1, 0)
+                flag = state[block, frozen_at, lane]
+                lost = wp.where(flag == LOST, 1, 0)
                 down = wp.where(state[block, fallen_at, lane] > 0.5, 1, 0)
                 chunk_fallen_out[slot, agent] = wp.uint8(down)
                 frozen_out[slot, agent] = wp.uint8(lost)
-                fallen_out[agent] = wp.max(down, lost)
+                fallen_out[first_agent + agent] = wp.where(flag == HELD, 2, wp.max(down, lost))
                 for event in range(event_count):
                     events_out[slot, agent, event] = wp.int16(state[block, event_places[event], lane])
-                positions_out[agent] = wp.vec3(
+                positions_out[first_agent + agent] = wp.vec3(
                     wp.float32(origins[agent, 0] + wp.float64(seen[block, 0, lane])),
                     wp.float32(origins[agent, 1] + wp.float64(seen[block, 1, lane])),
                     wp.float32(origins[agent, 2] + wp.float64(seen[block, 2, lane])),
                 )
-                velocities_out[agent] = wp.vec3(
+                velocities_out[first_agent + agent] = wp.vec3(
                     seen[block, velocity_at, lane],
                     seen[block, velocity_at + 1, lane],
                     seen[block, velocity_at + 2, lane],
                 )
+                if wp.static(meets):
+                    # Only the first touch after a frame without one is something that happens.
+                    touched = state[block, touch_at, lane]
+                    first_touch = wp.where(state[block, touch_at + 1, lane] < 0.0, touched, -1.0)
+                    touches_out[slot, agent] = wp.int16(first_touch)
+                    if tick_count > 0:
+                        close_accounts(
+                            block,
+                            lane,
+                            first_agent,
+                            ghost_counts,
+                            ghost_indices,
+                            ghosts,
+                            partners_out,
+                            given_out,
+                            pressed_out,
+                        )
+                    places_out[first_agent + agent] = wp.vec3d(
+                        origins[agent, 0] + wp.float64(seen[block, 0, lane]),
+                        origins[agent, 1] + wp.float64(seen[block, 1, lane]),
+                        origins[agent, 2] + wp.float64(seen[block, 2, lane]),
+                    )
+                    attitudes_out[first_agent + agent] = wp.quat(
+                        seen[block, 3, lane], seen[block, 4, lane], seen[block, 5, lane], seen[block, 6, lane]
+                    )
+                    spins_out[first_agent + agent] = wp.vec3(
+                        seen[block, velocity_at + 3, lane],
+                        seen[block, velocity_at + 4, lane],
+                        seen[block, velocity_at + 5, lane],
+                    )
+                    bearing = wp.where(state[block, loaded_at, lane] > 0.5, CARRIED, FALLING)
+                    bearing = wp.where(flag == HELD, CARRIED, wp.where(down == 1, LYING, bearing))
+                    bearings_out[first_agent + agent] = bearing
+                    if flag == LOST or flag == REMOVED:  # noqa: SIM109
+                        bearings_out[first_agent + agent] = UNTOUCHABLE
+                if wp.where(flag == REMOVED, 1, lost) == 1:
+                    # It does not move any more, and its speeds may be what is not finite.
+                    velocities_out[first_agent + agent] = wp.vec3(0.0, 0.0, 0.0)
+                    for axis in range(3):
+                        chunk_velocities_out[slot, agent, axis] = wp.float32(0.0)
+                if flag == REMOVED:
+                    positions_out[first_agent + agent] = wp.vec3(wp.inf, wp.inf, wp.inf)
 
     return advance_frame
 

@@ -32,6 +32,8 @@ import math
 
 import warp as wp
 
+from echelon.warp_kernels.atomics import atomic_exchange
+
 wp.set_module_options({"enable_backward": False})
 
 NOBODY = wp.constant(-1)
@@ -91,10 +93,10 @@ def is_somewhere(place: wp.vec2) -> bool:
     return wp.abs(place[0]) < HORIZON and wp.abs(place[1]) < HORIZON
 
 
-@wp.kernel
-def clear_cells(table: CellTable):
-    """Forget everybody; one thread for each of `table.heads`. To be launched before agents are entered anew."""
-    table.heads[wp.tid()] = NOBODY
+def empty_cells(table: CellTable) -> None:
+    """Forget everybody, before agents are entered anew; can be captured in a graph."""
+    heads: wp.array = table.heads  # type: ignore[assignment]
+    heads.fill_(-1)
 
 
 @wp.func
@@ -105,13 +107,13 @@ def cell_entry(column: int, row: int, table: CellTable) -> int:
 
 @wp.func
 def enter_agent(agent: int, place: wp.vec2, table: CellTable):
-    """Put an agent into the list of its cell; every agent once after `clear_cells`."""
+    """Put an agent into the list of its cell; every agent once after `empty_cells`."""
     table.places[agent] = place
     table.nexts[agent] = NOBODY
     if is_somewhere(place):
         column = int(wp.floor(place[0] / table.cell_size))
         row = int(wp.floor(place[1] / table.cell_size))
-        table.nexts[agent] = wp.atomic_exch(table.heads, cell_entry(column, row, table), agent)
+        table.nexts[agent] = atomic_exchange(table.heads, cell_entry(column, row, table), agent)
 
 
 # ---- searching -------------------------------------------------------------------------------------------------------

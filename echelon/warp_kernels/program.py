@@ -4,7 +4,8 @@
 `frame` calls:
 
 * ``control(state, parameters, command, block)``: one control tick;
-* ``substeps(state, parameters, command, planes, block, count)``: ``count`` substeps, the state held in registers;
+* ``substeps(state, parameters, command, planes, ghosts, law, block, meeting, count)``: ``count`` substeps, the state
+  held in registers, beside the first ``meeting`` ghosts of each agent (see `meeting`);
 * ``begin(state, backup, block)``: at the start of a frame, wrap angles, clear latches and keep a copy;
 * ``keep_finite(state, backup, block)``: at its end, put agents whose state is not finite back to the copy;
 * ``locate(state, places, block)``: where the sites are whose ground must be looked up where they stand;
@@ -17,6 +18,9 @@ One substep under semi-implicit Euler is: kinematics; contacts; control's torque
 stiff term taken implicitly; speeds; then positions with the new speeds. Strains grow at the beginning of a substep
 with the speeds that the last one ended with, which is the same update. Runge-Kutta first settles contacts (drags and
 releases anchors) and latches, then calls one right-hand side four times.
+
+Who meets others is pushed by them once a substep: the sum of what ghosts do is a wrench on the first link that the
+substep always adds, zero where no ghost is near, so that skipping them changes no bit. Runge-Kutta holds it for a step.
 """
 
 from __future__ import annotations
@@ -29,10 +33,12 @@ from typing import Any, Literal
 import warp as wp
 
 from echelon.warp_kernels import articulated
-from echelon.warp_kernels.character import NO_EVENT, Character, StateLayout, View
+from echelon.warp_kernels.character import LOST, NO_EVENT, Character, StateLayout, View
 from echelon.warp_kernels.contact import Contact, JointForces, contact, spring_forces, strain_count
 from echelon.warp_kernels.emit import Target, operation_count, statements
 from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions, wrapped_positions
+from echelon.warp_kernels.meeting import Bumper
+from echelon.warp_kernels.meeting_code import MeetingCode, meeting_code
 from echelon.warp_kernels.spatial import (
     Vector,
     add,
@@ -48,6 +54,8 @@ from echelon.warp_kernels.trace import Expr, Graph, sincos
 Integrator = Literal["semi-implicit", "rk4"]
 PLANE_SIZE = 4  # n_x, n_y, n_z, d of the local plane of one contact site
 POSE_SIZE = 7
+FASTEST, LARGEST_FLOAT = 3.4e4, 3.4e38
+"""An agent any of whose speeds is greater [m/s, rad/s] counts as one whose state is not finite."""
 SEEN_EXTRA = 6  # after the poses: velocity of the first link's origin and its angular velocity, world axes
 
 
@@ -89,6 +97,7 @@ def evaluate_substep(
     tick: float,
     implicit_step: float,
     advance: float,
+    wrench: Sequence[Any] | None = None,
 ) -> SubstepResult:
     """Contacts, torques and accelerations of one agent: the physics of a substep, over any scalars.
 
@@ -96,6 +105,7 @@ def evaluate_substep(
         step, tick: Length of a substep and of a control tick [s].
         implicit_step: Length of a substep where stiff forces are taken implicitly, 0 where they are plain.
         advance: By how much strains have grown since they were stored [s].
+        wrench: What others push the first link with: moment about its origin [N m] and force [N], in its axes.
     """
     body = character.body
     kin = articulated.kinematics(body.tree, state.q, state.u)
@@ -121,7 +131,10 @@ def evaluate_substep(
         contacts,
     )
     character.actuate(view, joints)
-    qdd = articulated.forward_dynamics(kin, joints.tau, joints.implicit, loads, spring_forces(kin, body, view.springs))
+    forces = spring_forces(kin, body, view.springs)
+    if wrench is not None:
+        forces.setdefault(0, []).append((list(wrench[:3]), list(wrench[3:])))
+    qdd = articulated.forward_dynamics(kin, joints.tau, joints.implicit, loads, forces)
     found_in_order = [contacts[site.name] for site in body.contacts]
     return SubstepResult(qdd, [c.strain for c in found_in_order], [c.strain_rate for c in found_in_order], view.memory)
 
@@ -136,6 +149,7 @@ class Program:
         level_ground: Whether the ground's normal is +z everywhere, which saves arithmetic.
         substep_operations: Arithmetic operations of one substep, for reports.
         located_sites: Places in the model's list of the sites that `locate` finds: those that usually touch the ground.
+        bumper: What others meet of it; None where it meets nobody.
         key: A name that changes exactly when the code does.
     """
 
@@ -147,6 +161,7 @@ class Program:
         integrator: Integrator,
         target: Target,
         level_ground: bool = False,
+        bumper: Bumper | None = None,
     ) -> None:
         if integrator == "semi-implicit":
             check_explicit_forces(character.body, step)
@@ -156,7 +171,8 @@ class Program:
         self.integrator = integrator
         self.target = target
         self.level_ground = level_ground
-        self.layout = StateLayout.of(character.body, character.memory)
+        self.bumper = bumper
+        self.layout = StateLayout.of(character.body, character.memory, self.bumper is not None)
         self.parameter_names = tuple(character.parameters)
         self.seen_size = POSE_SIZE * len(character.body.links) + SEEN_EXTRA
         self.substep_operations = 0
@@ -269,10 +285,17 @@ class Program:
         size = self.layout.size
         code = self.target.preamble + self._pointer("S", "state", size) + self._load_inputs(True)
         code += f"lanes s[{size}];\nfor (int i = 0; i < {size}; ++i) s[i] = S[i];\n"
-        code += "for (int k = 0; k < count; ++k) {\n"
+        met = self._meeting_code()
+        code += met.before + "for (int k = 0; k < count; ++k) {\n" + met.each_substep
         code += self._semi_implicit() if self.integrator == "semi-implicit" else self._runge_kutta()
         code += "}\n"
         return code + f"for (int i = 0; i < {size}; ++i) S[i] = s[i];\n"
+
+    def _meeting_code(self) -> MeetingCode:
+        if self.bumper is None:
+            return MeetingCode("", "")
+        graph, touch = Graph(), self.layout.touch
+        return meeting_code(graph, self._variables(graph), self.bumper, self.step, f"s[{touch}]", self.target)
 
     def _traced(self, graph: Graph, state: AgentState, implicit_step: float) -> SubstepResult:
         """One substep's physics as expressions; with `implicit_step` zero forces are plain and strains stand still."""
@@ -286,6 +309,7 @@ class Program:
             self.tick,
             implicit_step,
             implicit_step,
+            None if self.bumper is None else [graph.input(f"w[{i}]") for i in range(6)],
         )
 
     def _semi_implicit(self) -> str:
@@ -396,6 +420,9 @@ class Program:
         code += statements(graph, outputs, self.target)
         for name in self.character.events:
             code += f"s[{self.layout.memory[name]}] = (lanes)({NO_EVENT}f);\n"
+        if self.layout.touch is not None:
+            touch = self.layout.touch
+            code += f"s[{touch + 1}] = s[{touch}];\ns[{touch}] = (lanes)({NO_EVENT}f);\n"
         code += f"s[{self.layout.substep}] = (lanes)(0.0f);\n"
         return code + f"for (int i = 0; i < {size}; ++i) b[i] = s[i];\n"
 
@@ -405,11 +432,16 @@ class Program:
         # Zero times a finite number is zero; times an infinity or a NaN it is not.
         code += "lanes total = (lanes)(0.0f);\n"
         code += f"for (int i = 0; i < {size}; ++i) total += s[i] * (lanes)(0.0f);\n"
+        # A speed that no character has is on its way there, and would take others along: it overflows.
+        first, last = self.layout.u, self.layout.u + self.character.body.u_count
+        code += f"for (int i = {first}; i < {last}; ++i) "
+        code += f"total += (s[i] * (lanes)({LARGEST_FLOAT / FASTEST:.1e}f)) * (lanes)(0.0f);\n"
         code += f"const mask lost = ((total == (lanes)(0.0f)) == 0) | (b[{frozen}] > (lanes)(0.5f));\n"
         code += f"if ({self.target.any_lane('lost')}) {{\n"
         code += f"for (int i = 0; i < {size}; ++i) {{ const lanes now = s[i], then = b[i]; "
         code += "s[i] = (lost ? then : now); }\n"
-        code += f"const lanes flag = s[{frozen}];\ns[{frozen}] = (lost ? (lanes)(1.0f) : flag);\n}}\n"
+        code += f"const lanes flag = s[{frozen}];\nconst mask known = flag > (lanes)({LOST}f);\n"
+        code += f"const lanes why = (known ? flag : (lanes)({LOST}f));\ns[{frozen}] = (lost ? why : flag);\n}}\n"
         return code
 
     def _keep_poses_source(self) -> str:
@@ -452,7 +484,10 @@ def _substeps_stub(
     parameters: wp.array3d[wp.float32],
     command: wp.array3d[wp.float32],
     planes: wp.array3d[wp.float32],
+    ghosts: wp.array3d[wp.float32],
+    law: wp.array[wp.float32],
     block: int,
+    meeting: int,
     count: int,
 ): ...
 

@@ -15,6 +15,8 @@ from echelon.warp_kernels import articulated
 from echelon.warp_kernels.character import NO_EVENT, Character, View
 from echelon.warp_kernels.contact import strain_count
 from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions, wrapped_positions
+from echelon.warp_kernels.meeting import Bumper, Law
+from echelon.warp_kernels.meeting_code import meet
 from echelon.warp_kernels.program import AgentState, Integrator, SubstepResult, evaluate_substep
 from echelon.warp_kernels.spatial import quaternion_normalized
 from echelon.warp_kernels.trace import Probe, record_probes
@@ -38,6 +40,25 @@ class Divergence:
     found: np.ndarray
 
 
+@dataclass
+class ReferenceMeeting:
+    """Who is beside the agents of a run.
+
+    Attributes:
+        bumper: What others meet of the character.
+        law: What contacts are like.
+        ghosts: The numbers of each agent's ghosts, shape [agents] each, as `meeting_code.meet` takes them.
+        touched: Substep of the first touch, or `NO_EVENT`, shape [agents].
+        others: The bumper of the ghosts; None if it is the agents'.
+    """
+
+    bumper: Bumper
+    law: Law
+    ghosts: list[list[np.ndarray]]
+    touched: np.ndarray
+    others: Bumper | None = None
+
+
 class ReferenceRun:
     """Any number of agents of one character in float64.
 
@@ -51,6 +72,11 @@ class ReferenceRun:
             not given.
         command: Commands by name, one number or one an agent; zero where not given.
         parameters: Parameters by name, likewise; the character's usual ones where not given.
+
+    Attributes:
+        state: As it is now.
+        wrench: What pushes the first links in the next substep, six of shape [agents] (see `evaluate_substep`).
+        meeting: Who is beside them and pushes them; sets `wrench`.
     """
 
     def __init__(
@@ -85,6 +111,8 @@ class ReferenceRun:
             memory={name: self._column(value) for name, value in character.memory.items()},
             substep=self._column(0.0),
         )
+        self.wrench: Sequence[np.ndarray] | None = None
+        self.meeting: ReferenceMeeting | None = None
 
     def _column(self, value: float | np.ndarray) -> np.ndarray:
         return np.broadcast_to(np.asarray(value, dtype=float), (self.agent_count,)).copy()
@@ -130,16 +158,30 @@ class ReferenceRun:
             self.tick * self.step,
             implicit_step,
             advance,
+            self.wrench,
         )
 
     def substep(self) -> SubstepResult:
         """One substep; returns what was evaluated at its start."""
+        if self.meeting is not None:
+            self._meet(self.meeting)
         result = self._semi_implicit() if self.integrator == "semi-implicit" else self._runge_kutta()
         self.state.memory.update({name: self._column(value) for name, value in result.memory.items()})
         self.state = AgentState(
             self.state.q, self.state.u, self.state.strains, self.state.memory, self.state.substep + 1.0
         )
         return result
+
+    def _meet(self, meeting: ReferenceMeeting) -> None:
+        """The push of the ghosts as they are, and the ghosts a substep later."""
+        q, u = self.state.q, self.state.u
+        root = (q[0:3], q[3:7], u[0:3], u[3:6])
+        wrench, meeting.ghosts, touching = meet(
+            meeting.bumper, meeting.law, self.step, root, meeting.ghosts, meeting.others
+        )
+        self.wrench = [self._column(value) for value in wrench]
+        first = touching & (meeting.touched < 0.0)
+        meeting.touched = np.where(first, self.state.substep, meeting.touched)
 
     def frame(self, substeps: int = 40) -> None:
         """One frame: control every `tick` substeps."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,10 +81,10 @@ def males() -> Crowd:
 CROWDS: dict[str, Callable[[], Crowd]] = {"hopper": hoppers, "male": males}
 
 
-def prepare(crowd: Crowd, order: np.ndarray, lanes: int = 8, threads: int = 1) -> Engine:
+def prepare(crowd: Crowd, order: np.ndarray, lanes: int = 8, threads: int = 1, **part: Any) -> Engine:
     """An engine with the agents of a crowd in some order."""
     engine = Engine(
-        crowd.character, len(order), SlopedTerrain.of(0.0), substeps=40, tick=5, lanes=lanes, threads=threads
+        crowd.character, len(order), SlopedTerrain.of(0.0), substeps=40, tick=5, lanes=lanes, threads=threads, **part
     )
     engine.set_q(crowd.q[order])
     engine.set_u(crowd.u[order])
@@ -145,9 +146,28 @@ def test_with_other_numbers_of_lanes(crowd: Crowd, expected: Outcome, lanes: int
 
 
 @pytest.mark.parametrize("lanes", [1, 8])
-def test_on_two_threads(crowd: Crowd, expected: Outcome, lanes: int):
+def test_on_two_threads(crowd: Crowd, expected: Outcome, lanes: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("echelon.warp_kernels.frame.THREAD_WORK", 1)  # or there would be too little to do for two
     order = np.arange(AGENTS)
+    engine = prepare(crowd, order, lanes, threads=2)
+    assert engine.team.size == 2
+    engine.close()
     assert differing(run(crowd, order, lanes=lanes, threads=2), expected, order) == []
+
+
+def test_in_parts_of_a_crowd(crowd: Crowd, expected: Outcome):
+    """As processes have them; each writes its own rows of what all see, and reads its own commands."""
+    found = []
+    for first, end in ((0, 5), (5, AGENTS)):
+        order = np.arange(first, end)
+        engine = prepare(crowd, order, first_agent=first, crowd_count=AGENTS)
+        found.append(advance(engine, crowd.frames))
+        others = np.delete(np.arange(AGENTS), order)
+        for name, array in engine.public.items():
+            assert not np.any(array.numpy()[others]), name
+        assert differing(found[-1], expected, order) == []
+    rows = np.concatenate([part.full["public.positions"] for part in found])
+    np.testing.assert_array_equal(rows, expected.full["public.positions"])
 
 
 def test_alone(crowd: Crowd, expected: Outcome):

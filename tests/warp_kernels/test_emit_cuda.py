@@ -13,7 +13,8 @@ import pytest
 import warp as wp
 from engine_scenes import SlopedTerrain, hopper, puppet
 
-from echelon.warp_kernels import frame_kernel
+from echelon.warp_kernels import frame_kernel, ghosts
+from echelon.warp_kernels.bumper import bumper_of
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.emit import Target
 from echelon.warp_kernels.program import Integrator, Program
@@ -38,9 +39,10 @@ def nvrtc(tmp_path_factory: pytest.TempPathFactory) -> None:
         pytest.skip("this Warp has no NVRTC to compile CUDA with: no PTX came of the simplest kernel")
 
 
-def compiled(character: Character, integrator: Integrator, folder: Path) -> tuple[str, str]:
-    """(CUDA source, PTX) of a character's frame kernel."""
-    program = Program(character, 1 / 1200, 5 / 1200, integrator, Target(lanes=1, cuda=True))
+def compiled(character: Character, integrator: Integrator, folder: Path, meets: bool = False) -> tuple[str, str]:
+    """(CUDA source, PTX) of the frame kernel of a character that meets others or does not."""
+    bumper = bumper_of(character, 1 / 1200) if meets else None
+    program = Program(character, 1 / 1200, 5 / 1200, integrator, Target(lanes=1, cuda=True), bumper=bumper)
     terrain: Any = SlopedTerrain.of(0.0)
     kernel = frame_kernel.frame_kernel(program, terrain.look_up, frame_kernel.type_of(terrain.data), terrain.rough)
     wp.compile_aot_module(kernel.module, arch=ARCHITECTURE, module_dir=folder, use_ptx=True)
@@ -67,3 +69,12 @@ def test_the_frame_kernel_compiles(name: str, integrator: Integrator, tmp_path: 
     # Everything of a substep is in float32: doubles are for origins and planes alone.
     assert len(re.findall(r"(add|mul|fma)\.rn\.f64", ptx)) < 100
     assert "sin.approx" not in ptx
+
+
+def test_contact_between_characters_compiles(tmp_path: Path):
+    source, ptx = compiled(hopper(), "semi-implicit", tmp_path / "frame", meets=True)
+    assert ".visible .entry" in ptx
+    assert "__builtin_elementwise" not in source
+    assert "capsules[1][14]" in source
+    wp.compile_aot_module(ghosts, arch=ARCHITECTURE, module_dir=tmp_path / "ghosts", use_ptx=True)
+    assert ".visible .entry" in next((tmp_path / "ghosts").glob("*.ptx")).read_text()

@@ -14,7 +14,7 @@ import pytest
 import warp as wp
 from scipy.spatial import KDTree
 
-from echelon.warp_kernels.neighbours import CellTable, cell_table, clear_cells, enter_agent, nearest_neighbours
+from echelon.warp_kernels.neighbours import CellTable, cell_table, empty_cells, enter_agent, nearest_neighbours
 
 CELL = 1.75  # [m]
 
@@ -53,7 +53,7 @@ class GridSearch:
     def run(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Indices (-1 beyond those found), distances and counts."""
         count = len(self.found)
-        wp.launch(clear_cells, self.table.heads.shape[0], outputs=[self.table], device="cpu")
+        empty_cells(self.table)
         wp.launch(enter_in_order, count, [self.places, self.order], [self.table], device="cpu")
         outputs = [self.indices, self.distances, self.found]
         wp.launch(search_all, count, [self.visibility, self.table], outputs, device="cpu")
