@@ -4,26 +4,25 @@
     referee     who is in the corral, who passed its gate, who collided, in this frame
     collie      rides on to the next frame, as everybody else is about to
 
-The launches of a frame are captured once in a graph and replayed: on a CPU a dozen kernels then cost two or three
-microseconds to launch instead of a hundred.
+The launches of a frame are captured once in graphs and replayed, a large crowd's in slices over threads
+(`echelon.warp_kernels.replay`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 import warp as wp
 
-from echelon.flocking import bicycle, commanded, drivers, herding, referee
+from echelon.flocking import bicycle, commanded, drivers, herding, marching, referee
 from echelon.flocking.collie import Collie
 from echelon.flocking.herd import Herd
 from echelon.flocking.referee import Referee
 from echelon.scenario import Scenario
 from echelon.warp_kernels import neighbours
-
-GRAPH_LIMIT = 8
-"""Graphs kept, one for each set of arrays that `Group.step` is called with."""
+from echelon.warp_kernels.replay import Phase, Replay, Share, launch_all, side_by_side
 
 
 class Group:
@@ -33,6 +32,7 @@ class Group:
         herd: The crowd as a herd.
         collie: Whom it flees from, if there is anybody.
         referee: Who counts.
+        share: Which agents it is for, and on which threads; set it before the first step.
     """
 
     def __init__(self, scenario: Scenario, device: wp.DeviceLike = None) -> None:
@@ -55,11 +55,14 @@ class Group:
             user=None if self.collie is None else self.collie.arrays.user,
             device=device,
         )
+        # Before the first frame everybody means to go on as they start.
+        self.herd.arrays.intended.fill_(wp.vec2(*scenario.crowd.start_velocity))
         self.referee = Referee(scenario.herd, scenario.world, count, device=device)
         self._device = wp.get_device(device)
         self._frame = wp.zeros(1, dtype=wp.int32, device=device)
         self._nobody_fell = wp.zeros(count, dtype=wp.int32, device=device)
-        self._graphs: dict[tuple[int | None, ...], tuple[wp.Graph, tuple[wp.array, ...]]] = {}
+        self.share = Share.whole(count)
+        self._replay = Replay((bicycle, commanded, drivers, herding, marching, neighbours, referee), device)
 
     def step(
         self,
@@ -83,12 +86,7 @@ class Group:
         down = self._nobody_fell if fallen is None else fallen
         self.set_frame(frame)
         arrays = (positions, velocities, down, desired_out)
-        key = tuple(array.ptr for array in arrays)
-        if key not in self._graphs:
-            if len(self._graphs) >= GRAPH_LIMIT:
-                self._graphs.clear()
-            self._graphs[key] = (self._captured(*arrays), arrays)  # the arrays are kept: their addresses stay theirs
-        wp.capture_launch(self._graphs[key][0])
+        self._replay(arrays, partial(self.phases, *arrays), self.share.team)
 
     def enqueue(
         self,
@@ -98,16 +96,34 @@ class Group:
         desired_out: wp.array[wp.vec2],
     ) -> None:
         """Launch what `step` replays, after `set_frame`, for a capture of one's own; arguments as there."""
-        self.herd.enqueue(self._frame, positions, velocities, fallen, desired_out)
-        self.referee.enqueue(self._frame, self.herd.arrays.table)
+        for phase in self.phases(positions, velocities, fallen, desired_out):
+            launch_all(phase)
+
+    def phases(
+        self,
+        positions: wp.array[wp.vec3],
+        velocities: wp.array[wp.vec3],
+        fallen: wp.array[wp.int32],
+        desired_out: wp.array[wp.vec2],
+    ) -> list[Phase]:
+        """What a frame launches, in slices for the threads of `share`; arguments as for `step`."""
+        herd, share = self.herd, self.share
+        mind, wanting = herd.want(self._frame, velocities, fallen, desired_out, share)
+        begin, looking, end = self.referee.count(self._frame, herd.arrays.table, share)
+        phases = [*herd.look(positions, fallen, share), mind, begin, side_by_side(wanting, looking), end]
         if self.collie is not None:
-            self.collie.enqueue(self._frame, self.herd.arrays)
+            phases.append([partial(self.collie.enqueue, self._frame, herd.arrays)])
+        return phases
 
     def look(self, frame: int, positions: wp.array[wp.vec3], fallen: wp.array[wp.int32] | None = None) -> None:
         """Let the referee count a frame after which there is no other; arguments as for `step`."""
         self.set_frame(frame)
         self.herd.enqueue_look(positions, self._nobody_fell if fallen is None else fallen)
         self.referee.enqueue(self._frame, self.herd.arrays.table)
+
+    def load(self) -> None:
+        """Load the kernels, compiling those that nobody has compiled before."""
+        self._replay.load()
 
     def state(self) -> dict[str, np.ndarray]:
         """All that the next frame depends on besides its arguments, by names like "herd.goal"; copies."""
@@ -133,11 +149,3 @@ class Group:
             self._frame.numpy()[0] = frame
         else:
             self._frame.fill_(frame)
-
-    def _captured(self, *arrays: wp.array) -> wp.Graph:
-        for module in (bicycle, commanded, drivers, herding, neighbours, referee):
-            wp.load_module(module, device=self._device)
-        with wp.ScopedCapture(device=self._device) as capture:
-            self.enqueue(*arrays)
-        assert capture.graph is not None, "a capture that ended without an error has a graph"
-        return capture.graph

@@ -8,7 +8,8 @@
     judge          who has come how far, who has left the road or touched somebody, in this frame
     user           rides on to the next frame, as everybody else is about to
 
-The launches of a frame are captured once in a graph and replayed, as in `echelon.flocking.group`.
+What a rider reads of another is where that one is and what its plan was a frame before, both of which `locate` finds;
+so all that follows is done rider by rider, in slices over threads (`echelon.warp_kernels.replay`).
 """
 
 # pyright: reportGeneralTypeIssues=false
@@ -17,6 +18,7 @@ The launches of a frame are captured once in a graph and replayed, as in `echelo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -43,10 +45,8 @@ from echelon.flocking.start_grid import StartGrid, riding_edge, start_grid
 from echelon.scenario.road import ObstacleSettings, PelotonSettings, UserSettings
 from echelon.terrain.spline import Centreline
 from echelon.warp_kernels import neighbours
-from echelon.warp_kernels.neighbours import cell_table, clear_cells
-
-GRAPH_LIMIT = 8
-"""Graphs kept, one for each set of arrays that `Peloton.step` is called with."""
+from echelon.warp_kernels.neighbours import cell_table, empty_cells
+from echelon.warp_kernels.replay import Phase, Replay, Share, launch_all, side_by_side
 
 RUN_OUT = 40.0
 """On an open road the finish is so far before its end, so that there is some road left to slow down on [m]."""
@@ -84,6 +84,7 @@ class Peloton:
         referee: Who counts.
         rules: The settings, as kernels see them.
         actors: Name and kind of those who are no riders but move: the user and the joggers.
+        share: Which riders it is for, and on which threads; set it before the first step.
     """
 
     def __init__(
@@ -161,7 +162,9 @@ class Peloton:
         self._nobody_fell = wp.zeros(count, dtype=wp.int32, device=device)
         self._nowhere = wp.zeros(1, dtype=wp.vec4, device=device)
         self._no_wish = wp.zeros(1, dtype=wp.float32, device=device)
-        self._graphs: dict[tuple[int | None, ...], tuple[wp.Graph, tuple[Any, ...]]] = {}
+        self.share = Share.whole(count, riders - count)
+        modules = [neighbours, road_riders, grouping, overtaking, drafting, clearance, road_following, road_obstacles]
+        self._replay = Replay([*modules, road_referee, road_user, tactics, bicycle], device)
         self.set_frame(-1)
         self._enqueue_obstacles()
         if self.user is not None:
@@ -189,12 +192,7 @@ class Peloton:
         down = self._nobody_fell if fallen is None else fallen
         self.set_frame(frame)
         arrays: tuple[Any, ...] = (positions, velocities, down, commands_out)
-        key = tuple(array.ptr for array in arrays)
-        if key not in self._graphs:
-            if len(self._graphs) >= GRAPH_LIMIT:
-                self._graphs.clear()
-            self._graphs[key] = (self._captured(*arrays), arrays)  # the arrays are kept: their addresses stay theirs
-        wp.capture_launch(self._graphs[key][0])
+        self._replay(arrays, partial(self.phases, *arrays), self.share.team)
 
     def enqueue(
         self,
@@ -204,40 +202,61 @@ class Peloton:
         commands_out: wp.array2d[wp.float32],
     ) -> None:
         """Launch what `step` replays, after `set_frame`, for a capture of one's own; arguments as there."""
-        rules, path, riders, seen, frame, device = (
-            *(self.rules, self._data, self.riders, self._seen, self._frame),
-            self._device,
-        )
-        count, rate = self._count, self._frame_rate
+        for phase in self.phases(positions, velocities, fallen, commands_out):
+            launch_all(phase)
+
+    def phases(
+        self,
+        positions: wp.array[wp.vec3],
+        velocities: wp.array[wp.vec3],
+        fallen: wp.array[wp.int32],
+        commands_out: wp.array2d[wp.float32],
+    ) -> list[Phase]:
+        """What a frame launches, in slices for the threads of `share`; arguments as for `step`."""
+        rules, path, riders, table = self.rules, self._data, self.riders, self._table
+        seen, frame, share, device, rate = self._seen, self._frame, self.share, self._device, self._frame_rate
         user = self._nowhere if self.user is None else self.user.seen
         wish = self._no_wish if self.user is None else self.user.wish
-
-        self._enqueue_obstacles()
-        wp.launch(clear_cells, self._table.heads.shape[0], outputs=[self._table], device=device)
-        inputs = [rules, path, positions, velocities, fallen, user, riders]
-        wp.launch(road_riders.locate, count, inputs=inputs, outputs=[self._table], device=device)
-        inputs = [rules, path, riders, self._table]
-        wp.launch(road_riders.see, count, inputs=inputs, outputs=[seen], device=device)
-
         finish_frame = self.referee.arrays.finish_frame
-        inputs = [rules, path, self._keys, self._by_distance, self._user_start, frame, finish_frame, seen, riders]
-        wp.launch(grouping.group, count, inputs=inputs, device=device)
-        if self._tactics_rules is not None:
-            inputs = [rules, self._tactics_rules, self._seed, rate, frame, seen, self.tactics, riders]
-            wp.launch(tactics.decide, count, inputs=inputs, device=device)
         every = max(1, round(rate / overtaking.CHOICES_PER_SECOND))
         dwell, blocked = (
             round(rate * seconds) for seconds in (overtaking.DWELL_SECONDS, overtaking.BLOCKED_DWELL_SECONDS)
         )
-        inputs = [rules, path, self._speeds, every, dwell, blocked, frame, seen, self.obstacles, riders]
-        wp.launch(overtaking.choose, count, inputs=inputs, device=device)
 
-        wp.launch(drafting.draft, count, inputs=[rules, seen, riders], device=device)
-        inputs = [rules, path, self._speeds, seen, self.obstacles, self._table, riders]
-        wp.launch(road_following.command, count, inputs=inputs, outputs=[wish, commands_out], device=device)
-        self.referee.enqueue(frame, rules, path, self._table, riders, self.obstacles)
+        def locate(first: int, count: int) -> None:
+            inputs = [first, rules, path, positions, velocities, fallen, user, riders]
+            wp.launch(road_riders.locate, count, inputs=inputs, outputs=[table], device=device)
+
+        def decide(first: int, count: int) -> None:
+            inputs = [first, rules, path, riders, table]
+            wp.launch(road_riders.see, count, inputs=inputs, outputs=[seen], device=device)
+            inputs = [first, rules, path, self._keys, self._by_distance, self._user_start, frame, finish_frame]
+            wp.launch(grouping.group, count, inputs=[*inputs, seen, riders], device=device)
+            if self._tactics_rules is not None:
+                inputs = [first, rules, self._tactics_rules, self._seed, rate, frame, seen, self.tactics, riders]
+                wp.launch(tactics.decide, count, inputs=inputs, device=device)
+            inputs = [first, rules, path, self._speeds, every, dwell, blocked, frame, seen, self.obstacles, riders]
+            wp.launch(overtaking.choose, count, inputs=inputs, device=device)
+            wp.launch(drafting.draft, count, inputs=[first, rules, seen, riders], device=device)
+            inputs = [first, rules, path, self._speeds, seen, self.obstacles, table, riders]
+            wp.launch(road_following.command, count, inputs=inputs, outputs=[wish, commands_out], device=device)
+
+        timing, judging, remembering = self.referee.phases(frame, rules, path, table, riders, self.obstacles, share)
+        phases = [
+            [self._enqueue_obstacles],
+            [partial(empty_cells, table)],
+            share.everybody(locate),
+            side_by_side(share.own(decide), judging),
+            # After deciding: who has come to the finish rides out slowly from the next frame on.
+            side_by_side(timing, remembering),
+        ]
         if self.user is not None:
-            self.user.enqueue(rules, path, riders)
+            phases.append([partial(self.user.enqueue, rules, path, riders)])
+        return phases
+
+    def load(self) -> None:
+        """Load the kernels, compiling those that nobody has compiled before."""
+        self._replay.load()
 
     def actor_poses(self) -> np.ndarray:
         """World poses of `actors` in the frame that comes next, float64, shape [actors, 7]; waits for the device."""
@@ -279,6 +298,13 @@ class Peloton:
         """Go on from what `state` gave, to the same bits."""
         for name, array in self._persistent().items():
             array.assign(state[name])
+        self.referee.count_anew(self._count - self.rules.first_user)
+
+    @property
+    def by_rider(self) -> frozenset[str]:
+        """Names of those arrays of `state` that have a row for each rider, the user last."""
+        shared = ("referee.frames", "obstacles.poses")
+        return frozenset(name for name in self._persistent() if name not in shared and not name.startswith("user."))
 
     def _persistent(self) -> dict[str, wp.array]:
         arrays = {f"riders.{name}": getattr(self.riders, name) for name in _REMEMBERED}
@@ -301,15 +327,6 @@ class Peloton:
             self._frame.numpy()[0] = frame
         else:
             self._frame.fill_(frame)
-
-    def _captured(self, *arrays: Any) -> wp.Graph:
-        modules = [neighbours, road_riders, grouping, overtaking, drafting, clearance, road_following, road_obstacles]
-        for module in (*modules, road_referee, road_user, tactics, bicycle):
-            wp.load_module(module, device=self._device)
-        with wp.ScopedCapture(device=self._device) as capture:
-            self.enqueue(*arrays)
-        assert capture.graph is not None, "a capture that ended without an error has a graph"
-        return capture.graph
 
 
 def finish_distance(path: Centreline, laps: int) -> float:

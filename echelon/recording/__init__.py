@@ -7,7 +7,15 @@ x y z in metres and a quaternion qx qy qz qw, of a link's frame in the world.
 """
 
 from echelon.recording.layout import EVENT_DTYPE, estimate_bytes
-from echelon.recording.manifest import EVENT_NAMES, PHASE_NAMES, Actor, Cast, RecordingFailed, is_recording
+from echelon.recording.manifest import (
+    EVENT_NAMES,
+    PHASE_NAMES,
+    REMOVED_PHASE,
+    Actor,
+    Cast,
+    RecordingFailed,
+    is_recording,
+)
 from echelon.recording.place import check_place
 from echelon.recording.reader import LazyFrames, LazyPoses, Recording
 from echelon.recording.writer import RecordingWriter
@@ -16,6 +24,7 @@ __all__ = [
     "EVENT_DTYPE",
     "EVENT_NAMES",
     "PHASE_NAMES",
+    "REMOVED_PHASE",
     "Actor",
     "Cast",
     "LazyFrames",

@@ -5,12 +5,17 @@
     herd.recording/            a zarr v3 group, readable by any zarr
       recording.json           the manifest (`manifest`): what is in it, and how much of it counts
       zarr.json
-      link_poses/              one zarr array for each name in ``frame_arrays``, chunked along frames
-        zarr.json
+      link_poses/              one zarr array for each name in ``frame_arrays``, chunked along frames, and along agents
+        zarr.json              in *shards*: a crowd of up to `SHARD_AGENTS` is one, a larger one several
         c.0.0.0.0  c.1.0.0.0   one file a chunk: raw little-endian numbers, then their CRC-32C (zarr's codec `crc32c`)
       ...
       events/                  [event, 4] int32: frame, substep, agent, kind
-      state/                   [chunk, bytes]: the full state at the first frame of each chunk, laid out in the manifest
+      state/                   [chunk, bytes]: the state at the first frame of each chunk, laid out in the manifest
+      agent_state/             [chunk, agent, bytes]: what there is of it of each agent, likewise, in shards
+
+Shards are those of the crowd, whoever writes them: where several ranks simulate it (`echelon.ranks`), each writes the
+shards whose first agent is its own, and gets the rows in them that are others'. So the files are the same for any
+number of ranks, and no rank writes all.
 
 Three properties, and why they hold:
 
@@ -48,8 +53,12 @@ CHECKSUM_BYTES = 4
 EVENT_DTYPE = np.dtype([("frame", "<i4"), ("substep", "<i4"), ("agent", "<i4"), ("kind", "u1")])
 """One event: the frame in which it happened, the substep in that frame, whose it was, an index into ``event_names``."""
 
+SHARD_AGENTS = 4096
+"""Most agents in a shard."""
+
 _CHUNK_SECONDS = 20
 _CHUNK_BYTES = 64 * 2**20
+_CHUNK_FRAMES = 8  # at the least: with fewer, states would take more room and time than frames
 
 
 # ---- the arrays ----------------------------------------------------------------------------------------------------
@@ -64,6 +73,7 @@ class ArrayLayout:
         dimensions: Name of each dimension.
         unit: Of its numbers, empty where they have none.
         text: What it holds.
+        agents: Of how many agents it holds rows, in its second dimension; 0 where it holds none.
     """
 
     name: str
@@ -72,15 +82,27 @@ class ArrayLayout:
     dimensions: tuple[str, ...]
     unit: str
     text: str
+    agents: int = 0
 
     @property
     def nbytes(self) -> int:
         """Size of a chunk's numbers, without the checksum."""
         return math.prod(self.chunk) * np.dtype(self.dtype).itemsize
 
-    def chunk_name(self, index: int) -> str:
-        """Name of the file of chunk ``index`` along the first dimension; there is one along each other."""
-        return ".".join(["c", str(index)] + ["0"] * (len(self.chunk) - 1))
+    @property
+    def row(self) -> tuple[int, ...]:
+        """Shape of the whole array but for its first dimension."""
+        return (self.agents, *self.chunk[2:]) if self.agents else self.chunk[1:]
+
+    @property
+    def shards(self) -> int:
+        """How many chunks there are along agents; along each dimension but these and the first there is one."""
+        return -(-self.agents // self.chunk[1]) if self.agents else 1
+
+    def chunk_name(self, index: int, shard: int = 0) -> str:
+        """Name of the file of a chunk, ``index`` along the first dimension and ``shard`` along agents."""
+        rest = [str(shard)] + ["0"] * (len(self.chunk) - 2) if len(self.chunk) > 1 else []
+        return ".".join(["c", str(index), *rest])
 
     def metadata(self, length: int) -> dict[str, Any]:
         """What zarr's specification (version 3) asks for in zarr.json; ``length`` is that of the first dimension."""
@@ -88,7 +110,7 @@ class ArrayLayout:
         return {
             "zarr_format": 3,
             "node_type": "array",
-            "shape": [length, *self.chunk[1:]],
+            "shape": [length, *self.row],
             "data_type": dtype.name,
             "chunk_grid": {
                 "name": "regular",
@@ -126,13 +148,23 @@ _FRAME_ARRAYS: Sequence[tuple[str, str, tuple[str, ...], str, str]] = (
 )
 
 
+def shard_agents(agent_count: int) -> int:
+    """Agents in a shard: at most `SHARD_AGENTS`, and so many that the last one is nearly full."""
+    return -(-agent_count // -(-agent_count // SHARD_AGENTS))
+
+
 def frame_arrays(
-    chunk_frames: int, agent_count: int, link_count: int, actor_count: int, measure_count: int = 0
+    chunk_frames: int,
+    agent_count: int,
+    link_count: int,
+    actor_count: int,
+    measure_count: int = 0,
+    shard: int | None = None,
 ) -> dict[str, ArrayLayout]:
-    """The arrays with one row a frame, by name."""
+    """The arrays with one row a frame, by name; ``shard`` agents in each of their chunks, by default all."""
     sizes = {
         "frame": chunk_frames,
-        "agent": agent_count,
+        "agent": agent_count if shard is None else shard,
         "link": link_count,
         "actor": actor_count,
         "measure": measure_count,
@@ -141,7 +173,15 @@ def frame_arrays(
         "xy": 2,
     }
     return {
-        name: ArrayLayout(name, dtype, tuple(sizes[d] for d in dimensions), dimensions, unit, text)
+        name: ArrayLayout(
+            name,
+            dtype,
+            tuple(sizes[d] for d in dimensions),
+            dimensions,
+            unit,
+            text,
+            agent_count if "agent" in dimensions else 0,
+        )
         for name, dtype, dimensions, unit, text in _FRAME_ARRAYS
     }
 
@@ -154,9 +194,16 @@ def event_array(event_rows: int) -> ArrayLayout:
 
 
 def state_array(parts: Sequence[StatePart]) -> ArrayLayout:
-    """The array of checkpoints, one row a chunk."""
-    size = sum(part.nbytes for part in parts)
-    return ArrayLayout("state", "|u1", (1, size), ("chunk", "byte"), "", "full state at the first frame of each chunk")
+    """The array of checkpoints, one row a chunk: what is not of single agents."""
+    size = sum(part.nbytes for part in parts if not part.by_agent)
+    return ArrayLayout("state", "|u1", (1, size), ("chunk", "byte"), "", "state at the first frame of each chunk")
+
+
+def agent_state_array(parts: Sequence[StatePart], agent_count: int, shard: int) -> ArrayLayout:
+    """The array of checkpoints of agents, one row a chunk and agent."""
+    size = sum(part.row_bytes for part in parts if part.by_agent)
+    text = "state of each agent at the first frame of each chunk"
+    return ArrayLayout("agent_state", "|u1", (1, shard, size), ("chunk", "agent", "byte"), "", text, agent_count)
 
 
 def event_rows(agent_count: int) -> int:
@@ -169,10 +216,11 @@ def chunk_frames(
 ) -> int:
     """Frames in a chunk: at most twenty seconds and 64 MiB, and so many that the last chunk of the run is nearly full.
 
+    But no fewer than eight: a chunk holds the state once, which is about as much as two frames.
     Making a file costs some 0.2 ms whatever is in it: shorter chunks would spend more on files than on their contents.
     """
     one = sum(array.nbytes for array in frame_arrays(1, agent_count, link_count, actor_count, measure_count).values())
-    most = max(1, min(_CHUNK_SECONDS * frame_rate, _CHUNK_BYTES // one))
+    most = max(_CHUNK_FRAMES, min(_CHUNK_SECONDS * frame_rate, _CHUNK_BYTES // one))
     return -(-frame_limit // -(-frame_limit // most))
 
 
@@ -203,7 +251,8 @@ def estimate_bytes(
     events = math.ceil(frame_count / frame_rate * agent_count * 4) * 16
     layouts = frame_arrays(1, agent_count, link_count, actor_count, measure_count).values()
     frames = sum(frame_count * layout.nbytes for layout in layouts)
-    files = (len(layouts) + 2) * (chunks + 2)  # half a block of 4 KiB is lost at the end of each
+    shards = -(-agent_count // SHARD_AGENTS)
+    files = (len(layouts) + 3) * shards * (chunks + 2)  # half a block of 4 KiB is lost at the end of each
     return frames + events + chunks * agent_count * state_bytes_per_agent + 2048 * files
 
 
@@ -212,11 +261,18 @@ def estimate_bytes(
 
 @dataclass(frozen=True)
 class StatePart:
-    """Where one array of the full state lies among the bytes of a checkpoint, which hold the parts in order."""
+    """Where one array of the full state lies among the bytes of a checkpoint, which hold the parts in order.
+
+    Attributes:
+        name, dtype: Of the array.
+        shape: Of the array, of the whole crowd.
+        by_agent: Whether it has a row for each agent.
+    """
 
     name: str
     dtype: str
     shape: Annotated[tuple[int, ...], Within(at_least=0)]
+    by_agent: bool = False
 
     def __post_init__(self) -> None:
         adopt(self, "state")
@@ -231,29 +287,65 @@ class StatePart:
     def nbytes(self) -> int:
         return math.prod(self.shape) * np.dtype(self.dtype).itemsize
 
+    @property
+    def row_bytes(self) -> int:
+        """Size of a row of an array that has one for each agent."""
+        return math.prod(self.shape[1:]) * np.dtype(self.dtype).itemsize
 
-def state_parts(state: Mapping[str, np.ndarray]) -> tuple[StatePart, ...]:
-    """How a state is laid out in a checkpoint: its arrays by name, in alphabetical order."""
+
+def state_parts(
+    state: Mapping[str, np.ndarray], agent_state: Mapping[str, np.ndarray], agent_count: int
+) -> tuple[StatePart, ...]:
+    """How a state is laid out in a checkpoint: its arrays by name, in alphabetical order.
+
+    Args:
+        state: Arrays that are not of single agents.
+        agent_state: Those with a row for each agent, of some or all.
+        agent_count: How many agents there are.
+    """
+    arrays = {name: (np.asarray(array), False) for name, array in state.items()}
+    arrays |= {name: (np.asarray(array), True) for name, array in agent_state.items()}
     return tuple(
-        StatePart(name, np.asarray(state[name]).dtype.newbyteorder("<").str, np.asarray(state[name]).shape)
-        for name in sorted(state)
+        StatePart(
+            name,
+            array.dtype.newbyteorder("<").str,
+            (agent_count, *array.shape[1:]) if by_agent else array.shape,
+            by_agent,
+        )
+        for name, (array, by_agent) in sorted(arrays.items())
     )
 
 
 def pack_state(parts: Sequence[StatePart], state: Mapping[str, np.ndarray]) -> np.ndarray:
-    """One checkpoint, uint8, shape [bytes]."""
-    arrays = (np.ascontiguousarray(state[part.name], dtype=part.dtype) for part in parts)
-    return np.concatenate([array.reshape(-1).view(np.uint8) for array in arrays])
+    """What a checkpoint holds that is not of single agents, uint8, shape [bytes]."""
+    arrays = (np.ascontiguousarray(state[part.name], dtype=part.dtype) for part in parts if not part.by_agent)
+    return np.concatenate([np.zeros(0, np.uint8), *(array.reshape(-1).view(np.uint8) for array in arrays)])
 
 
-def unpack_state(parts: Sequence[StatePart], packed: np.ndarray) -> dict[str, np.ndarray]:
-    """The arrays of one checkpoint, by name."""
-    state: dict[str, np.ndarray] = {}
+def pack_agent_state(parts: Sequence[StatePart], state: Mapping[str, np.ndarray], count: int) -> np.ndarray:
+    """What it holds of some agents, uint8, shape [1, agents, bytes]."""
+    by_agent = [part for part in parts if part.by_agent]
+    packed = np.empty((1, count, sum(part.row_bytes for part in by_agent)), np.uint8)
     start = 0
+    for part in by_agent:
+        rows = np.ascontiguousarray(state[part.name], dtype=part.dtype).reshape(count, -1)
+        packed[0, :, start : start + part.row_bytes] = rows.view(np.uint8)
+        start += part.row_bytes
+    return packed
+
+
+def unpack_state(parts: Sequence[StatePart], packed: np.ndarray, packed_agents: np.ndarray) -> dict[str, np.ndarray]:
+    """The arrays of one checkpoint, by name; its bytes are of shape [bytes] and [agents, bytes]."""
+    state: dict[str, np.ndarray] = {}
+    start = agent_start = 0
     for part in parts:
-        data = packed[start : start + part.nbytes].tobytes()
+        if part.by_agent:
+            data = packed_agents[:, agent_start : agent_start + part.row_bytes].tobytes()
+            agent_start += part.row_bytes
+        else:
+            data = packed[start : start + part.nbytes].tobytes()
+            start += part.nbytes
         state[part.name] = np.frombuffer(data, dtype=part.dtype).reshape(part.shape).copy()
-        start += part.nbytes
     return state
 
 
@@ -292,14 +384,26 @@ _ZEROS = np.zeros(2**16, np.uint8)
 
 
 def read_chunk(path: Path, layout: ArrayLayout, index: int) -> np.ndarray:
-    """The numbers of one chunk of the recording at ``path``, shape ``layout.chunk``.
+    """The numbers of chunk ``index`` of the recording at ``path``, all its shards; shape [rows, *layout.row].
 
     Raises:
         InputError: It cannot be read, or is not what was written.
     """
+    if layout.shards == 1:
+        return read_shard(path, layout, index, 0)
+    numbers = np.empty((layout.chunk[0], *layout.row), layout.dtype)
+    size = layout.chunk[1]
+    for shard in range(layout.shards):
+        rows = numbers[:, shard * size : (shard + 1) * size]
+        rows[:] = read_shard(path, layout, index, shard)[:, : rows.shape[1]]
+    return numbers
+
+
+def read_shard(path: Path, layout: ArrayLayout, index: int, shard: int) -> np.ndarray:
+    """The numbers of one chunk and shard, shape ``layout.chunk``; raises as `read_chunk`."""
     if not layout.nbytes:
         return np.zeros(layout.chunk, layout.dtype)
-    file = path / layout.name / layout.chunk_name(index)
+    file = path / layout.name / layout.chunk_name(index, shard)
     try:
         data = np.fromfile(file, np.uint8)
     except OSError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import itertools
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -17,6 +19,7 @@ from echelon.recording.layout import (
     MANIFEST,
     ArrayLayout,
     StatePart,
+    agent_state_array,
     event_array,
     frame_arrays,
     state_array,
@@ -25,9 +28,14 @@ from echelon.settings import SettingError, Within, adopt, plain, read
 from echelon.warp_kernels.model import Model
 
 FORMAT = "echelon recording"
-VERSION = 1
+VERSION = 2
 PHASE_NAMES = ("flight", "loading", "compression", "thrust", "unloading", "fallen")
-EVENT_NAMES = ("touchdown", "liftoff", "fall", "collision", "gate", "nonfinite", "off_road", "struck", "finish")
+EVENT_NAMES = (
+    *("touchdown", "liftoff", "fall", "collision", "gate", "nonfinite", "off_road", "struck", "finish"),
+    *("stand", "remove", "contact"),
+)
+REMOVED_PHASE = "removed"
+"""Name of the phase of an agent that has been taken away: others do not see it, and nothing shows it."""
 
 
 class RecordingFailed(RuntimeError):
@@ -70,20 +78,27 @@ class Actor:
 # ---- the manifest --------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class CastEntry:
-    """A `Cast` as plain data."""
+    """A `Cast` as plain data; its colours, maybe a hundred thousand, as base64 of little-endian float64."""
 
     name: str
     body: dict
     first_agent: Annotated[int, Within(at_least=0)]
     agent_count: Annotated[int, Within(at_least=1)]
-    colors: Annotated[tuple[tuple[float, float, float], ...], Within(at_least=0, at_most=1)]
+    colors: str
 
     def __post_init__(self) -> None:
         adopt(self, "casts")
-        if len(self.colors) != self.agent_count:
-            raise SettingError(
-                "casts.colors", f": must be {self.agent_count}, one for each agent, not {len(self.colors)}"
-            )
+        try:
+            values = self.color_values()
+        except ValueError:
+            raise SettingError("casts.colors", ": must be numbers in base64") from None
+        if len(values) != self.agent_count or not np.all((values >= 0.0) & (values <= 1.0)):
+            text = f": must be {self.agent_count}, one for each agent, of numbers from 0 to 1"
+            raise SettingError("casts.colors", text)
+
+    def color_values(self) -> np.ndarray:
+        """Linear RGB of each individual, shape [agents, 3]; raises ValueError where they are damaged."""
+        return np.frombuffer(base64.b64decode(self.colors, validate=True), "<f8").reshape(-1, 3)
 
 
 @dataclass(frozen=True)
@@ -109,6 +124,7 @@ class Manifest:
         frame_count, chunk_count, event_count: How much counts.
         link_count: Most links of any body.
         agent_count: In all casts.
+        shard_agents: Agents in every shard but the last.
         event_rows: Rows of a chunk of the event array.
         scenario, world, summary: Plain data.
         state: Parts of a checkpoint, in order; empty until the first chunk.
@@ -125,6 +141,7 @@ class Manifest:
     event_count: Annotated[int, Within(at_least=0)]
     event_rows: Annotated[int, Within(at_least=1)]
     agent_count: Annotated[int, Within(at_least=1)]
+    shard_agents: Annotated[int, Within(at_least=1)]
     link_count: Annotated[int, Within(at_least=1)]
     phase_names: tuple[str, ...]
     measure_names: tuple[str, ...]
@@ -224,6 +241,7 @@ def manifest_frame_arrays(manifest: Manifest) -> dict[str, ArrayLayout]:
         manifest.link_count,
         len(manifest.actors),
         len(manifest.measure_names),
+        manifest.shard_agents,
     )
 
 
@@ -239,6 +257,9 @@ def check_chunks(path: Path, manifest: Manifest) -> None:
         if not manifest.state:
             raise InputError(f"{path / MANIFEST}: damaged: state: must be there once there are frames")
         arrays.append((state_array(manifest.state), manifest.chunk_count))
+        agents = agent_state_array(manifest.state, manifest.agent_count, manifest.shard_agents)
+        if agents.nbytes:
+            arrays.append((agents, manifest.chunk_count))
     for layout, chunk_count in arrays:
         folder = path / layout.name
         try:
@@ -250,8 +271,9 @@ def check_chunks(path: Path, manifest: Manifest) -> None:
         length = shape[0] if isinstance(shape, list) and shape else None
         if type(length) is not int or described != layout.metadata(length):
             raise InputError(f"{folder / 'zarr.json'}: damaged; does not describe what the manifest says")
-        for index in range(chunk_count if layout.nbytes else 0):
-            name, whole = layout.chunk_name(index), layout.nbytes + CHECKSUM_BYTES
+        files = itertools.product(range(chunk_count if layout.nbytes else 0), range(layout.shards))
+        for index, shard in files:
+            name, whole = layout.chunk_name(index, shard), layout.nbytes + CHECKSUM_BYTES
             if sizes.get(name) != whole:
                 found = f"has {sizes[name]} bytes" if name in sizes else "is missing"
                 raise InputError(f"{folder / name}: truncated recording: this chunk {found}; must have {whole}")

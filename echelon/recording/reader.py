@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,14 @@ from echelon.errors import InputError
 from echelon.recording.layout import (
     EVENT_DTYPE,
     ArrayLayout,
+    agent_state_array,
     event_array,
     read_chunk,
     state_array,
     unpack_state,
 )
 from echelon.recording.manifest import (
+    REMOVED_PHASE,
     Actor,
     Cast,
     Manifest,
@@ -40,7 +43,7 @@ class LazyFrames:
     """
 
     def __init__(self, path: Path, layout: ArrayLayout, length: int) -> None:
-        self.shape: tuple[int, ...] = (length, *layout.chunk[1:])
+        self.shape: tuple[int, ...] = (length, *layout.row)
         self.dtype = np.dtype(layout.dtype)
         self._path = path
         self._layout = layout
@@ -120,6 +123,20 @@ class LazyFrames:
         return read_chunk(self._path, self._layout, index)
 
 
+class LazyPhase(LazyFrames):
+    """Whether agents are in one phase, bool; never where the run has no such phase."""
+
+    def __init__(self, path: Path, phases: ArrayLayout, length: int, phase_names: Sequence[str], name: str) -> None:
+        super().__init__(path, phases, length)
+        self.dtype = np.dtype(bool)
+        self._phase = phase_names.index(name) if name in phase_names else None
+
+    def _read(self, index: int) -> np.ndarray:
+        if self._phase is None:
+            return np.zeros((self._chunk_length, *self.shape[1:]), bool)
+        return super()._read(index) == self._phase
+
+
 class LazyPoses(LazyFrames):
     """Poses of links in the world, float64: what is stored near a floating origin, with the origin added."""
 
@@ -160,6 +177,7 @@ class Recording:
         contacts: Whether a foot is loaded, bool,                       [frames, agents]
         fallen: Whether the agent has fallen, bool,                     [frames, agents]
         frozen: Whether its state stopped being finite, bool,           [frames, agents]
+        removed: Whether it has been taken away, bool,                  [frames, agents]
         in_corral: How many are in the corral, int32,                   [frames]
         actor_poses: In the world, float64,                             [frames, actors, 7]
     """
@@ -198,6 +216,7 @@ class Recording:
         self.contacts = lazy["contacts"]
         self.fallen = lazy["fallen"]
         self.frozen = lazy["frozen"]
+        self.removed = LazyPhase(self.path, layouts["phases"], self.frame_count, self.phase_names, REMOVED_PHASE)
         self.in_corral = lazy["in_corral"]
         self.actor_poses = lazy["actor_poses"]
 
@@ -231,14 +250,25 @@ class Recording:
             IndexError: There is no such chunk.
             InputError: The recording is damaged there.
         """
-        parts = self._manifest.state
-        return unpack_state(parts, LazyFrames(self.path, state_array(parts), self._manifest.chunk_count)[chunk])
+        manifest = self._manifest
+        agents = agent_state_array(manifest.state, manifest.agent_count, manifest.shard_agents)
+        packed, packed_agents = (
+            LazyFrames(self.path, layout, manifest.chunk_count)[chunk]
+            for layout in (state_array(manifest.state), agents)
+        )
+        return unpack_state(manifest.state, packed, packed_agents)
 
 
 def _casts(path: Path, manifest: Manifest) -> tuple[Cast, ...]:
     try:
         return tuple(
-            Cast(entry.name, Model.from_dict(entry.body), entry.first_agent, entry.agent_count, np.array(entry.colors))
+            Cast(
+                entry.name,
+                Model.from_dict(entry.body),
+                entry.first_agent,
+                entry.agent_count,
+                entry.color_values().copy(),
+            )
             for entry in manifest.casts
         )
     except InputError as error:
