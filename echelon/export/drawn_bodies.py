@@ -44,7 +44,11 @@ class DrawnBodies:
         return _Shapes(links, self._colors)
 
     def surfaces(
-        self, poses: np.ndarray, ground: np.ndarray = LEVEL, close: np.ndarray | None = None
+        self,
+        poses: np.ndarray,
+        ground: np.ndarray = LEVEL,
+        close: np.ndarray | None = None,
+        removed: np.ndarray | None = None,
     ) -> tuple[Surface, Surface]:
         """The bodies and their shadows.
 
@@ -53,13 +57,17 @@ class DrawnBodies:
             ground: The plane beneath each body, n . x = d, broadcast to shape [bodies, 4].
             close: Which bodies are so close that they are drawn in every detail, shape [bodies]; None for all, and
                 their shadows too.
+            removed: Which bodies are not drawn, shape [bodies]; None for none.
         """
         ground = np.broadcast_to(ground, (len(poses), 4))
+        removed = np.zeros(len(poses), bool) if removed is None else removed
         if close is None:
-            everybody = np.arange(len(poses))
-            return self._fine.bodies(poses, everybody), self._fine.shadows(poses, ground)
-        solid = [self._fine.bodies(poses, np.flatnonzero(close)), self._coarse.bodies(poses, np.flatnonzero(~close))]
-        return joined(solid), self._coarse.shadows(poses, ground)
+            return self._fine.bodies(poses, np.flatnonzero(~removed)), self._fine.shadows(poses, ground, removed)
+        solid = [
+            self._fine.bodies(poses, np.flatnonzero(close & ~removed)),
+            self._coarse.bodies(poses, np.flatnonzero(~close & ~removed)),
+        ]
+        return joined(solid), self._coarse.shadows(poses, ground, removed)
 
 
 class _Shapes:
@@ -94,9 +102,13 @@ class _Shapes:
         colors = np.concatenate([lit(self._albedo[chosen], normals), opaque], axis=2)
         return Surface(points.reshape(-1, 3), colors.reshape(-1, 4), self._of_all(len(chosen)))
 
-    def shadows(self, poses: np.ndarray, ground: np.ndarray) -> Surface:
-        """The shadows of all bodies on the planes beneath them, shapes [bodies, links, 7] and [bodies, 4]."""
+    def shadows(self, poses: np.ndarray, ground: np.ndarray, removed: np.ndarray) -> Surface:
+        """The shadows of all bodies on the planes beneath them, shapes [bodies, links, 7] and [bodies, 4].
+
+        The triangles are those of all bodies, whoever has been removed: theirs shrink to a point.
+        """
         points, _ = self._posed(poses)
+        points[removed] = points[removed][:, :1]
         flat = flattened(points, self._shadow_heights, ground[:, None])
         dark = np.broadcast_to(SHADOW_COLOR, (flat.shape[0] * flat.shape[1], 4))
         return Surface(flat.reshape(-1, 3), dark, self._shadow_triangles)
@@ -133,6 +145,7 @@ class MovingScene:
         actor_poses: np.ndarray,
         ground: np.ndarray | None = None,
         close: np.ndarray | None = None,
+        removed: np.ndarray | None = None,
     ) -> list[Surface]:
         """Bodies, then shadows.
 
@@ -142,13 +155,15 @@ class MovingScene:
             ground: The plane beneath each agent, then beneath each actor, n . x = d, shape [agents + actors, 4]; None
                 where it is level, at z = 0.
             close: Likewise, which of them are drawn in every detail; None for all.
+            removed: Which agents are not drawn, shape [agents]; None for none.
         """
         if ground is None:
             ground = np.broadcast_to(LEVEL, (len(link_poses) + len(actor_poses), 4))
         found = []
         for (first, bodies), count in zip(self._casts, self._agent_counts, strict=True):
             those = slice(first, first + count)
-            found.append(bodies.surfaces(link_poses[those], ground[those], None if close is None else close[those]))
+            near, gone = (None if some is None else some[those] for some in (close, removed))
+            found.append(bodies.surfaces(link_poses[those], ground[those], near, gone))
         for index, bodies in enumerate(self._actors):
             those = slice(len(link_poses) + index, len(link_poses) + index + 1)
             poses = actor_poses[index : index + 1, None]

@@ -35,7 +35,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from echelon.errors import InputError
 from echelon.export.road_scene import RoadScene, is_road, road_scene
-from echelon.export.shapes import box_between, ground_mesh, wall_mesh
+from echelon.export.shapes import box_between, columns_mesh, ground_mesh, wall_mesh
 from echelon.export.stage import scene
 from echelon.export.stage.articulations import (
     JOINTS,
@@ -56,6 +56,7 @@ from echelon.export.stage.motion import (
     angular_velocities,
     conjugate,
     local_transforms,
+    present,
     prim_names,
     rates,
     read_motion,
@@ -108,7 +109,8 @@ def write_physics(recording: Recording, path: str | os.PathLike[str], frame: int
         raise InputError(f"frame = {frame}: the recording has frames 0 to {count - 1}")
     frame %= count
     first = max(frame - 1, 0)
-    motions = [m for m in read_motion(recording, slice(first, min(frame + 2, count))) if m.agent_count]
+    read = read_motion(recording, slice(first, min(frame + 2, count)))
+    motions = [m for m in (present(m, frame - first) for m in read) if m.agent_count]
 
     layer = Sdf.Layer.CreateAnonymous(".usda")
     stage, paths = scene.begin_stage(recording, layer)
@@ -239,6 +241,12 @@ def _define_world(
     for name, wall in zip(prim_names([str(wall["name"]) for wall in walls]), walls, strict=True):
         path = paths.world.AppendChild(name)
         mesh = define_mesh(stage, str(path), welded([wall_mesh(wall["points"], wall["closed"], wall["height"])]))
+        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.none)
+        make_collider(mesh.GetPrim(), material)
+        fences.append(path)
+    if recording.world.get("columns"):
+        path = paths.world.AppendChild("columns")
+        mesh = define_mesh(stage, str(path), welded([columns_mesh(recording.world["columns"])]))
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.none)
         make_collider(mesh.GetPrim(), material)
         fences.append(path)

@@ -12,10 +12,12 @@ from echelon.errors import InputError
 from echelon.export.actor_looks import actor_visuals
 from echelon.export.drawn_parts import DrawnPart, parts_of
 from echelon.export.drawn_road import DrawnRoad, drawn_road
+from echelon.export.removed import places_to_frame, removed_agents
 from echelon.export.road_scene import is_road, road_scene
-from echelon.export.shapes import Mesh, fence_mesh
+from echelon.export.shapes import Mesh, columns_mesh, fence_mesh
 from echelon.recording import Recording
 
+COLUMNS_NAME = "columns"  # what stands among the fences and is of stone
 PEN_NAME = "corral"  # the fence that has a floor of its own
 
 
@@ -93,7 +95,11 @@ class PictureSource(Protocol):
         ...
 
     def body_places(self, first: int, last: int) -> np.ndarray:
-        """Where the agents' root links are [m], shape [frames, agents, 3]."""
+        """Where cameras take the agents' root links to be [m], shape [frames, agents, 3] (`places_to_frame`)."""
+        ...
+
+    def removed(self, first: int, last: int) -> np.ndarray:
+        """Which agents have been taken away and are not drawn, bool, shape [frames, agents]."""
         ...
 
 
@@ -125,7 +131,11 @@ class RecordedSource:
         return np.asarray(self._recording.actor_poses[first:last], dtype=np.float64)
 
     def body_places(self, first: int, last: int) -> np.ndarray:
-        return np.asarray(self._recording.link_poses[first:last, :, 0, :3], dtype=np.float64)
+        places = np.asarray(self._recording.link_poses[first:last, :, 0, :3], dtype=np.float64)
+        return places_to_frame(places, self.removed(first, last))
+
+    def removed(self, first: int, last: int) -> np.ndarray:
+        return removed_agents(self._recording, slice(first, last))
 
 
 def _drawn_world(world: Mapping[str, Any]) -> DrawnWorld:
@@ -134,9 +144,12 @@ def _drawn_world(world: Mapping[str, Any]) -> DrawnWorld:
     ground, corral = world["ground"], world.get("corral")
     return DrawnWorld(
         oval=(float(ground["half_length"]), float(ground["half_width"])) if ground["shape"] == "oval" else None,
-        fences=tuple(
-            DrawnFence(str(wall["name"]), fence_mesh(wall["points"], bool(wall["closed"]), float(wall["height"])))
-            for wall in world.get("walls", ())
+        fences=(
+            *(
+                DrawnFence(str(wall["name"]), fence_mesh(wall["points"], bool(wall["closed"]), float(wall["height"])))
+                for wall in world.get("walls", ())
+            ),
+            *([DrawnFence(COLUMNS_NAME, columns_mesh(world["columns"]))] if world.get("columns") else []),
         ),
         pen=None
         if corral is None

@@ -194,8 +194,8 @@ class _Shot:
         origin = np.round(0.5 * (low + high))
         shift = np.array([origin[0], origin[1], 0.0])
         with Renderer(self.size, scenery(self.source.world, low, high, origin)) as renderer:
-            for view, (links, actors) in zip(views, self._poses(frames), strict=True):
-                surfaces = moving.surfaces(_moved(links, -shift), _moved(actors, -shift))
+            for view, (links, actors, removed) in zip(views, self._poses(frames), strict=True):
+                surfaces = moving.surfaces(_moved(links, -shift), _moved(actors, -shift), removed=removed)
                 yield renderer.draw(view.moved(-shift), surfaces)
 
     def _on_a_road(
@@ -204,7 +204,7 @@ class _Shot:
         beside = RoadScenery(road)
         window: Window | None = None
         with Renderer(self.size, []) as renderer:
-            for view, (links, actors) in zip(views, self._poses(frames), strict=True):
+            for view, (links, actors, removed) in zip(views, self._poses(frames), strict=True):
                 cell = beside.cell(view.eye)
                 if window is None or cell != window.cell:
                     window = beside.window(cell)
@@ -213,7 +213,9 @@ class _Shot:
                 ground = beside.shadow_planes(places)
                 ground[:, 3] -= ground[:, :3] @ window.origin
                 close = self._pixels_a_metre(view, places) > DETAIL
-                surfaces = moving.surfaces(_moved(links, -window.origin), _moved(actors, -window.origin), ground, close)
+                surfaces = moving.surfaces(
+                    _moved(links, -window.origin), _moved(actors, -window.origin), ground, close, removed
+                )
                 yield renderer.draw(view.moved(-window.origin), surfaces)
 
     def _pixels_a_metre(self, view: View, places: np.ndarray) -> np.ndarray:
@@ -225,15 +227,16 @@ class _Shot:
         """One view of all bodies at all of some frames; None where they move too far for that."""
         return self._views.common(frames)
 
-    def _poses(self, frames: Sequence[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Link and actor poses of ascending frames, read many at once."""
+    def _poses(self, frames: Sequence[int]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Link and actor poses of ascending frames, and who has been taken away; read many at once."""
         begin = end = 0
-        links = actors = np.empty(0)
+        links = actors = removed = np.empty(0)
         for frame in frames:
             if not begin <= frame < end:
                 begin, end = frame, min(frame + _FRAMES_AT_ONCE, frames[-1] + 1)
                 links, actors = self.source.link_poses(begin, end), self.source.actor_poses(begin, end)
-            yield links[frame - begin], actors[frame - begin]
+                removed = self.source.removed(begin, end)
+            yield links[frame - begin], actors[frame - begin], removed[frame - begin]
 
 
 def _opened(source: Source) -> PictureSource:

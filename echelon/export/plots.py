@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 from scipy.spatial import KDTree
 
@@ -111,6 +112,8 @@ def _draw_paths(axes: Axes, recording: Recording, samples: _Samples, colors: np.
         points = np.asarray(wall["points"], dtype=float)
         points = np.vstack([points, points[:1]]) if wall["closed"] else points
         axes.plot(points[:, 0], points[:, 1], color=_FENCE, linewidth=1.6, solid_capstyle="round")
+    for column in recording.world.get("columns", ()):
+        axes.add_patch(Circle(tuple(column["center"]), column["radius"], color=_FENCE))
     paths = samples.places.transpose(1, 0, 2)
     axes.add_collection(LineCollection(list(paths), colors=colors, linewidths=0.9, alpha=0.75))
     rings = [(float(red), float(green), float(blue)) for red, green, blue in colors]

@@ -6,7 +6,7 @@ import numpy as np
 
 from echelon.export.light import SHADOW_COLOR, STANDING_SHADOWS, display_encoded, flattened, lit
 from echelon.export.mesh_parts import separate_parts
-from echelon.export.picture_source import PEN_NAME, DrawnPen, DrawnWorld
+from echelon.export.picture_source import COLUMNS_NAME, PEN_NAME, DrawnPen, DrawnWorld
 from echelon.export.renderer import Surface, joined
 from echelon.export.shapes import Mesh
 
@@ -21,10 +21,12 @@ TRACK = np.array([0.42, 0.30, 0.19])  # around the infield
 PEN_FLOOR = np.array([0.36, 0.29, 0.15])
 RAILS = np.array([0.80, 0.78, 0.72])
 PEN_RAILS = np.array([0.52, 0.16, 0.06])
+STONE = np.array([0.46, 0.44, 0.41])
 HILLS = np.array([0.07, 0.15, 0.09])
 HAZE = np.array([0.62, 0.72, 0.80])
 ZENITH = np.array([0.20, 0.40, 0.75])
 
+_MATERIALS = {PEN_NAME: PEN_RAILS, COLUMNS_NAME: STONE}
 TRACK_WIDTH = 5.0  # [m]
 HORIZON = 1600.0  # [m]
 _SEGMENTS = 96  # of rings far away
@@ -55,7 +57,7 @@ def scenery(world: DrawnWorld, low: np.ndarray, high: np.ndarray, origin: np.nda
         solid.append(_pen_floor(world.pen))
     shadows = []
     for fence in world.fences:
-        solid.append(_matt(fence.mesh, PEN_RAILS if fence.name == PEN_NAME else RAILS))
+        solid.append(_matt(fence.mesh, _MATERIALS.get(fence.name, RAILS)))
         shadows.append(_standing_shadow(fence.mesh))
     # Last what is behind everything: the depth test then spares the rasteriser most of it.
     ranges = [hills(middle, 500.0, 14.0, 0.45), hills(middle, 1000.0, 45.0, 0.7)]

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -205,6 +206,22 @@ def fence_mesh(points: Sequence[Sequence[float]] | np.ndarray, closed: bool, hei
     half_sizes.append(np.tile([POST_HALF_WIDTH, POST_HALF_WIDTH, 0.5 * height], (len(posts), 1)))
     angles.append(post_headings)
     return _boxes(np.concatenate(centers), np.concatenate(half_sizes), np.concatenate(angles))
+
+
+def columns_mesh(columns: Sequence[Mapping[str, Any]]) -> Mesh:
+    """Round columns that stand on z = 0, as a recording's world lists them: center, radius and height [m]."""
+    return joined(
+        [
+            visual_mesh(
+                Visual(
+                    "cylinder",
+                    (float(column["radius"]), 0.5 * float(column["height"]), 0.0),
+                    position=(float(column["center"][0]), float(column["center"][1]), 0.5 * float(column["height"])),
+                )
+            )
+            for column in columns
+        ]
+    )
 
 
 @lru_cache(maxsize=1)

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from echelon.errors import InputError
 from echelon.export.drawn_parts import DrawnPart
 from echelon.export.picture_source import DrawnCast
+from echelon.export.removed import places_to_frame
 from echelon.export.stage_prims import (
     beneath,
     drawn_part,
@@ -95,7 +96,14 @@ class StageSource:
                 found = troupe.places(self._cache)
                 places[frame - first, agent : agent + len(found)] = found
                 agent += len(found)
-        return places
+        return places_to_frame(places, self.removed(first, last))
+
+    def removed(self, first: int, last: int) -> np.ndarray:
+        found = np.zeros((last - first, sum(len(troupe.colors) for troupe in self._troupes)), bool)
+        for frame in range(first, last):
+            gone = [troupe.invisible(self._start + frame) for troupe in self._troupes]
+            found[frame - first] = np.concatenate(gone)
+        return found
 
 
 def _open(path: Path) -> Usd.Stage:
@@ -120,6 +128,7 @@ class _Rigs:
             found.setdefault(relative, []).append(drawn_part(mesh, owner))
         self.links = tuple(tuple(parts) for parts in found.values())
         self.colors = own_colors(agents)
+        self._agents = agents
         self._owners = [agent.GetPrimAtPath(name) for agent in agents for name in found]
 
     def places(self, cache: UsdGeom.XformCache) -> np.ndarray:
@@ -131,6 +140,10 @@ class _Rigs:
         """Poses of links at the cache's time, shape [agents, links, 7]."""
         matrices = Vt.Matrix4dArray([cache.GetLocalToWorldTransform(owner) for owner in self._owners])
         return rigid_poses(np.asarray(matrices)).reshape(len(self.colors), len(self.links), 7)
+
+    def invisible(self, time: float) -> np.ndarray:
+        """Which agents are invisible at a time code, bool, shape [agents]."""
+        return _invisible(self._agents, time)
 
 
 class _Skeletons:
@@ -168,6 +181,10 @@ class _Skeletons:
             found.append(joints @ np.asarray(cache.GetLocalToWorldTransform(agent)))
         return rigid_poses(np.stack(found))
 
+    def invisible(self, time: float) -> np.ndarray:
+        """Which agents are invisible at a time code, bool, shape [agents]."""
+        return _invisible(self._agents, time)
+
 
 class _Points:
     """Agents of one look as instances of point instancers, one for each link."""
@@ -198,6 +215,19 @@ class _Points:
             poses[:, link, :3] = positions @ to_world[:3, :3] + to_world[3, :3]
             poses[:, link, 3:] = (Rotation.from_matrix(to_world[:3, :3].T) * Rotation.from_quat(turns)).as_quat()
         return poses
+
+    def invisible(self, time: float) -> np.ndarray:
+        """Which agents are invisible at a time code, bool, shape [agents]."""
+        hidden = self._instancers[0].GetInvisibleIdsAttr().Get(time)
+        if not hidden:
+            return np.zeros(len(self.colors), bool)
+        return np.isin(np.asarray(self._instancers[0].GetIdsAttr().Get()), np.asarray(hidden))
+
+
+def _invisible(agents: Sequence[Usd.Prim], time: float) -> np.ndarray:
+    """Which prims are invisible at a time code, bool, shape [agents]."""
+    hidden = [UsdGeom.Imageable(agent).ComputeVisibility(time) == UsdGeom.Tokens.invisible for agent in agents]
+    return np.array(hidden)
 
 
 def _troupes(crowd: Usd.Prim) -> list[_Rigs | _Skeletons | _Points]:

@@ -29,7 +29,7 @@ def read_world(world: Usd.Prim) -> DrawnWorld:
         if prim.GetName() == "Ground":
             for turf in (mesh for mesh in meshes if mesh.GetName() == "turf"):
                 points = drawn_part(turf, world).mesh.points
-                if len(points) > _RECTANGLE_POINTS:
+                if len(np.unique(points, axis=0)) > _RECTANGLE_POINTS:
                     oval = (float(np.abs(points[:, 0]).max()), float(np.abs(points[:, 1]).max()))
             continue
         fences += [DrawnFence(prim.GetName(), drawn_part(mesh, world).mesh) for mesh in meshes]

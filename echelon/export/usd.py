@@ -32,6 +32,7 @@ import numpy as np
 from pxr import Sdf, Usd
 
 from echelon.errors import InputError
+from echelon.export.removed import places_to_frame, removed_agents
 from echelon.export.road_cameras import ROAD_CAMERAS, camera_ways
 from echelon.export.road_scene import RoadScene, is_road, road_scene
 from echelon.export.stage import scene
@@ -224,8 +225,14 @@ def _camera_moves(recording: Recording, road: RoadScene | None) -> dict[str, Cam
     """Cameras by name."""
     # Bit by bit: what is read at once stays in memory until it has been put together.
     steps = range(0, recording.frame_count, FRAMES_AT_ONCE)
+    parts = [slice(first, first + FRAMES_AT_ONCE) for first in steps]
     places = np.concatenate(
-        [np.array(recording.link_poses[first : first + FRAMES_AT_ONCE, :, 0, :3], dtype=np.float64) for first in steps]
+        [
+            places_to_frame(
+                np.array(recording.link_poses[part, :, 0, :3], dtype=np.float64), removed_agents(recording, part)
+            )
+            for part in parts
+        ]
     )
     if road is None:
         others = np.asarray(recording.actor_poses[:], dtype=np.float64)[..., :3].reshape(len(places), -1, 3)

@@ -1,5 +1,6 @@
 """A scenario, simulated frame by frame and recorded."""
 
+from echelon.simulation.cost import RunCost
 from echelon.simulation.loop import Simulation, colors, resume, simulate
 
-__all__ = ["Simulation", "colors", "resume", "simulate"]
+__all__ = ["RunCost", "Simulation", "colors", "resume", "simulate"]

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from echelon.agents.cyclist import Cyclist
 from echelon.flocking.group import Group
+from echelon.flocking.herd import Herd
+from echelon.flocking.referee import Referee
 from echelon.recording import EVENT_NAMES, Actor
-from echelon.scenario import Scenario
+from echelon.scenario import CrowdSettings, Scenario
 from echelon.simulation.scene import SceneFrames
 from echelon.terrain.flat import FlatTerrain
 from echelon.terrain.walls import world_dict
 from echelon.warp_kernels.character import Character, Population
 from echelon.warp_kernels.frame import Engine, Terrain
+from echelon.warp_kernels.replay import Share
+
+AIM_DISTANCE = 8.0
+"""How far ahead riders on a field steer for a point in the direction that they want [m]."""
 
 
 class Field:
@@ -26,6 +35,10 @@ class Field:
     """
 
     measure_names: tuple[str, ...] = ()
+    beyond = 0
+    by_agent = frozenset(
+        [*(f"herd.{name}" for name in Herd.by_agent), *(f"referee.{name}" for name in Referee.by_agent)]
+    )
 
     def __init__(self, scenario: Scenario, device: str = "cpu") -> None:
         self.scenario = scenario
@@ -40,21 +53,28 @@ class Field:
         self._totals_here = self.group.referee.arrays.totals.numpy() if device == "cpu" else None
         self._pose_here = collie.arrays.pose.numpy() if collie is not None and device == "cpu" else None
 
+    def divide(self, share: Share) -> None:
+        self.group.share = share
+
+    def load(self) -> None:
+        self.group.load()
+
     def people(self, character: Character) -> tuple[Population, np.ndarray]:
         crowd = self.scenario.crowd
-        people = character.population(
-            crowd.count, self.scenario.population_seed, crowd.variation, in_phase=crowd.in_phase
-        )
+        people = started(character, crowd, self.scenario.population_seed)
         places = self.scenario.start_positions()
         return people, np.column_stack([places, np.zeros(len(places))])
 
+    def public(self) -> dict[str, wp.array]:
+        return {"intended": self.group.herd.arrays.intended}
+
     def step(self, frame: int, engine: Engine) -> None:
         if self._desired is None:
-            # The same memory twice: rows of commands for the engine, vectors for the group.
-            self._desired = wp.array(
-                ptr=engine.command.ptr, dtype=wp.vec2, shape=engine.agent_count, device=engine.command.device
-            )
+            self._desired = _first_commands(engine)
         self.group.step(frame, engine.positions, engine.velocities, self._desired, engine.fallen)
+
+    def tallies(self) -> dict[str, wp.array]:
+        return {}
 
     def keep_actors(self, slot: int, frames: SceneFrames) -> None:
         if self.group.collie is not None:
@@ -65,8 +85,9 @@ class Field:
         inside, _, gates, collisions = self._referee().tolist()
         frames.in_corral[slot] = inside
         if (gates, collisions) != self._passed:
-            for agent in np.flatnonzero(self.group.referee.arrays.gates.numpy()):
-                frames.events.append((frame, 0, int(agent), EVENT_NAMES.index("gate")))
+            for agent in np.flatnonzero(self.group.referee.arrays.gates.numpy()).tolist():
+                if self.group.share.owns(agent):
+                    frames.events.append((frame, 0, agent, EVENT_NAMES.index("gate")))
             for agent, _ in self.group.referee.collisions():
                 frames.events.append((frame, 0, agent, EVENT_NAMES.index("collision")))
             self._passed = (gates, collisions)
@@ -104,3 +125,39 @@ class Field:
 
     def load_state(self, state: Mapping[str, np.ndarray]) -> None:
         self.group.load_state(state)
+
+
+def started(character: Character, crowd: CrowdSettings, seed: int) -> Population:
+    """A crowd as it sets off, at the velocity that its settings say.
+
+    Args:
+        character: Who.
+        crowd: How many, how different, how fast and whither.
+        seed: Of what differs.
+    """
+    x, y = crowd.start_velocity
+    if isinstance(character, Cyclist):
+        return character.population(
+            crowd.count, seed, crowd.variation, crowd.in_phase, heading=math.atan2(y, x), speed=math.hypot(x, y)
+        )
+    people = character.population(crowd.count, seed, crowd.variation, crowd.in_phase)
+    if (x, y) == (0.0, 0.0):
+        return people
+    people.u[:, 0] += x
+    people.u[:, 1] += y
+    # What a controller already wants is what it has; a hopper would brake in its first stance otherwise.
+    held = {name: np.full(crowd.count, value) for name, value in (("wanted_x", x), ("wanted_y", y))}
+    return replace(people, memory={**people.memory, **{k: v for k, v in held.items() if k in character.memory}})
+
+
+def _first_commands(engine: Engine) -> wp.array[wp.vec2]:
+    """The same memory twice: rows of commands for the engine; of each the first two, a vector, for the group.
+
+    Riders also have a distance at which they steer for a point; all take the same.
+    """
+    names = engine.character.commands
+    if "look_ahead" in names:
+        engine.set_command("look_ahead", np.full(engine.agent_count, AIM_DISTANCE))
+    rows = engine.command
+    stride = 4 * rows.shape[1]  # [bytes]
+    return wp.array(ptr=rows.ptr, dtype=wp.vec2, shape=rows.shape[0], strides=(stride,), device=rows.device)

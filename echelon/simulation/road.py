@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from echelon.agents.cyclist import Cyclist
 from echelon.flocking.peloton import Peloton
@@ -19,9 +20,13 @@ from echelon.terrain.course import Course
 from echelon.terrain.road import RoadTerrain
 from echelon.warp_kernels.character import Character, Population
 from echelon.warp_kernels.frame import Engine, Terrain
+from echelon.warp_kernels.replay import Share
 
 MEANS = ("power", "cadence", "shelter")
 """Measures whose mean over the run a rider's summary tells."""
+
+
+_OF_USER = ".user"  # ends the names of the user's rows of what there is of each rider
 
 
 class Road:
@@ -71,8 +76,16 @@ class Road:
             "walls": [],
         }
         self.actors: tuple[Actor, ...] = tuple(Actor(name, kind) for name, kind in self.peloton.actors)
+        self.beyond = int(scenario.user is not None)
+        self.by_agent = frozenset(["down", *self.peloton.by_rider])
         self._down = np.zeros(scenario.crowd.count, dtype=bool)
         self._passed = self._counts()
+
+    def divide(self, share: Share) -> None:
+        self.peloton.share = share
+
+    def load(self) -> None:
+        self.peloton.load()
 
     def people(self, character: Character) -> tuple[Population, np.ndarray]:
         crowd, grid = self.scenario.crowd, self.peloton.grid
@@ -91,29 +104,45 @@ class Road:
         places[:, 2] = self.course.surfaces.height(places[:, :2])
         return people, places
 
+    def public(self) -> dict[str, wp.array]:
+        riders = self.peloton.riders
+        return {"lane": riders.lane, "target": riders.target, "command_speed": riders.command_speed}
+
     def step(self, frame: int, engine: Engine) -> None:
         commands: Any = engine.command
         self.peloton.step(frame, engine.positions, engine.velocities, commands, engine.fallen)
         self._down = engine.fallen.numpy() != 0
+
+    def tallies(self) -> dict[str, wp.array]:
+        a = self.peloton.referee.arrays
+        return {
+            "distance": a.distance,
+            "off_road": a.off_road_count,
+            "collisions": a.collisions,
+            "struck": a.struck_count,
+            "shelter": a.shelter_sum,
+        }
 
     def keep_actors(self, slot: int, frames: SceneFrames) -> None:
         if self.actors:
             frames.actor_poses[slot] = self.peloton.actor_poses()
 
     def keep(self, frame: int, slot: int, frames: SceneFrames) -> None:
-        referee, riders, count = self.peloton.referee.arrays, self.peloton.riders, self.scenario.crowd.count
+        referee, riders, share = self.peloton.referee.arrays, self.peloton.riders, self.peloton.share
         for place, column in enumerate((referee.progress, riders.offset, riders.shelter)):
-            frames.measures[slot, :, place] = column.numpy()[:count]
+            frames.measures[slot, :, place] = column.numpy()[share.first : share.first + share.count]
         if np.any(referee.totals.numpy() != self._passed["totals"]):
             self._note(frame, frames)
             self._passed = self._counts()
 
     def _note(self, frame: int, frames: SceneFrames) -> None:
         """What has begun in this frame; the user is no agent, and has no events of its own."""
-        count, now = self.scenario.crowd.count, self._counts()
+        share, now = self.peloton.share, self._counts()
         for name in ("off_road", "struck", "finish"):
-            for agent in np.flatnonzero(now[name][:count] != self._passed[name][:count]):
-                frames.events.append((frame, 0, int(agent), EVENT_NAMES.index(name)))
+            for agent in np.flatnonzero(now[name] != self._passed[name]).tolist():
+                if share.owns(agent):
+                    frames.events.append((frame, 0, agent, EVENT_NAMES.index(name)))
+        # The one of lower index tells of it, which the user, who has the last, never is.
         for agent, _ in self.peloton.referee.collisions():
             frames.events.append((frame, 0, agent, EVENT_NAMES.index("collision")))
 
@@ -158,8 +187,21 @@ class Road:
         }
 
     def state(self) -> dict[str, np.ndarray]:
-        return self.peloton.state() | {"down": self._down.copy()}
+        count = self.scenario.crowd.count
+        state: dict[str, np.ndarray] = {"down": self._down.copy()}
+        for name, array in self.peloton.state().items():
+            if name in self.by_agent:
+                state[name] = array[:count]
+                if self.beyond:
+                    state[f"{name}{_OF_USER}"] = array[count:]
+            else:
+                state[name] = array
+        return state
 
     def load_state(self, state: Mapping[str, np.ndarray]) -> None:
-        self.peloton.load_state(state)
+        whole = {name: array for name, array in state.items() if not name.endswith(_OF_USER)}
+        if self.beyond:
+            for name in self.peloton.by_rider:
+                whole[name] = np.concatenate([whole[name], state[f"{name}{_OF_USER}"]])
+        self.peloton.load_state(whole)
         self._down = np.array(state["down"], dtype=bool)

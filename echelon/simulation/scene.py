@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import warp as wp
 
 from echelon.recording import Actor
 from echelon.warp_kernels.character import Character, Population
 from echelon.warp_kernels.frame import Engine, Terrain
+from echelon.warp_kernels.replay import Share
 
 
 @dataclass
@@ -51,15 +53,35 @@ class Scene(Protocol):
         world: What there is to see, plain data, for the recording.
         actors: Who else is in the picture.
         measure_names: What it measures of each agent in each frame.
+        beyond: How many rows its rules have beyond those of the crowd: a user's.
+        by_agent: Names of those arrays of `state` that have a row for each agent of the crowd.
     """
 
     terrain: Terrain
     world: Mapping[str, Any]
     actors: tuple[Actor, ...]
     measure_names: tuple[str, ...]
+    beyond: int
+    by_agent: frozenset[str]
+
+    def divide(self, share: Share) -> None:
+        """Say whose wants are worked out here, and on which threads, before the first step."""
+        ...
+
+    def load(self) -> None:
+        """Load the kernels, compiling those that nobody has compiled before."""
+        ...
 
     def people(self, character: Character) -> tuple[Population, np.ndarray]:
         """Everybody as they start, and the world places of their floating origins [m], shape [agents, 3]."""
+        ...
+
+    def public(self) -> dict[str, wp.array]:
+        """What the rules go by of others, of the frame before, by name; the first rows are those of the crowd.
+
+        `step` writes the rows of the engine's own agents. Where others are simulated by other processes, theirs are
+        put here before the next `step`.
+        """
         ...
 
     def step(self, frame: int, engine: Engine) -> None:
@@ -84,7 +106,7 @@ class Scene(Protocol):
         ...
 
     def summary(self, last_frame: int, means: Mapping[str, np.ndarray]) -> dict[str, Any]:
-        """What the run came to, as far as the scene knows.
+        """What the run came to, as far as the scene knows; `tallies` have been put together before.
 
         Args:
             last_frame: Number of the last frame.
@@ -92,8 +114,15 @@ class Scene(Protocol):
         """
         ...
 
+    def tallies(self) -> dict[str, wp.array]:
+        """What `summary` needs of each agent; like `public`, but at the end of a run."""
+        ...
+
     def state(self) -> dict[str, np.ndarray]:
-        """All that the next frame depends on, by name; copies."""
+        """All that the next frame depends on, by name; copies.
+
+        Where other ranks have some of the agents, their rows are not what they are there.
+        """
         ...
 
     def load_state(self, state: Mapping[str, np.ndarray]) -> None:

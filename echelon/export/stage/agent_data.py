@@ -42,6 +42,16 @@ def author_agent_data(prim: Sdf.PrimSpec, motion: CastMotion, agent: int) -> Non
         )
 
 
+def author_visibility(prim: Sdf.PrimSpec, motion: CastMotion, agent: int) -> None:
+    """Author that one agent is invisible while it has been taken away; nothing of one that never is."""
+    gone = motion.removed[:, agent]
+    if not gone.any():
+        return
+    frames = changes(gone)
+    values = ["invisible" if now else "inherited" for now in gone[frames].tolist()]
+    author(prim, "visibility", Sdf.ValueTypeNames.Token, values, frames, timing=motion.timing)
+
+
 def _author_identity(prim: Sdf.PrimSpec, motion: CastMotion, agent: int) -> None:
     names = Sdf.ValueTypeNames
     color = Vt.Vec3fArray([Gf.Vec3f(*motion.colors[agent].tolist())])

@@ -15,6 +15,7 @@ import numpy as np
 from pxr import Tf
 
 from echelon.errors import InputError
+from echelon.export.removed import removed_agents
 from echelon.export.stage.time_samples import WHOLE, Timing
 from echelon.recording import Cast, Recording
 from echelon.warp_kernels.model import Model
@@ -39,6 +40,7 @@ class CastMotion:
         velocities: Of the first link's origin [m/s], float32,       [frames, agents, 3]
         phases: Controller phase, index of its name, int32,          [frames, agents]
         fallen: One while fallen, else zero, int32,                  [frames, agents]
+        removed: Whether it has been taken away, bool,               [frames, agents]
         timing: How frames become time samples.
         beside: Frames at the beginning and at the end that are there for the sake of rates only.
         clip_by_clip: These are not all frames of the run, and others are written elsewhere in the same stage.
@@ -53,6 +55,7 @@ class CastMotion:
     velocities: np.ndarray
     phases: np.ndarray
     fallen: np.ndarray
+    removed: np.ndarray
     timing: Timing = WHOLE
     beside: tuple[int, int] = (0, 0)
     clip_by_clip: bool = False
@@ -88,7 +91,16 @@ def shown_frames(motion: CastMotion) -> slice:
     return slice(before, motion.frame_count - after)
 
 
-_FRAME_ARRAYS = ("positions", "orientations", "velocities", "phases", "fallen")
+def present(motion: CastMotion, frame: int) -> CastMotion:
+    """The motion of those who have not been taken away by a frame of it."""
+    there = ~motion.removed[frame]
+    if there.all():
+        return motion
+    arrays = {name: getattr(motion, name)[:, there] for name in _FRAME_ARRAYS}
+    return replace(motion, ids=motion.ids[there], colors=motion.colors[there], **arrays)
+
+
+_FRAME_ARRAYS = ("positions", "orientations", "velocities", "phases", "fallen", "removed")
 
 
 def read_motion(recording: Recording, frames: slice = slice(None)) -> tuple[CastMotion, ...]:
@@ -220,4 +232,5 @@ def _cast_motion(recording: Recording, cast: Cast, frames: slice) -> CastMotion:
         velocities=np.asarray(recording.velocities[frames, agents], dtype=np.float32),
         phases=np.asarray(recording.phases[frames, agents], dtype=np.int32),
         fallen=np.asarray(recording.fallen[frames, agents], dtype=np.int32),
+        removed=removed_agents(recording, frames)[:, agents],
     )

@@ -49,6 +49,7 @@ def author_points(
             author_constant(prim, "protoIndices", Sdf.ValueTypeNames.IntArray, indices)
             _author_colors(prim, motion.colors)
         _author_instances(prim, motion, index, origin, frame_rate)
+        _author_invisible(prim, motion)
         advance()
 
 
@@ -100,6 +101,17 @@ def _author_instances(prim: Sdf.PrimSpec, motion: CastMotion, index: int, origin
         frames = changes(column)
         values = map(Vt.IntArray.FromNumpy, column[frames])
         author(prim, name, names.IntArray, values, frames, interpolation="varying", timing=timing)
+
+
+def _author_invisible(prim: Sdf.PrimSpec, motion: CastMotion) -> None:
+    """Author which instances are not shown: those who have been taken away."""
+    gone = motion.removed[shown_frames(motion)]
+    if not gone.any():
+        return
+    frames = changes(gone)
+    ids = motion.ids.astype(np.int64)
+    values = (Vt.Int64Array.FromNumpy(ids[gone[frame]]) for frame in frames)
+    author(prim, "invisibleIds", Sdf.ValueTypeNames.Int64Array, values, frames, timing=motion.timing)
 
 
 def _author_colors(prim: Sdf.PrimSpec, colors: np.ndarray) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from pxr import Sdf
 
-from echelon.export.stage.agent_data import author_agent_data
+from echelon.export.stage.agent_data import author_agent_data, author_visibility
 from echelon.export.stage.characters import link_paths, rig_path
 from echelon.export.stage.motion import CastMotion, local_transforms
 from echelon.export.stage.time_samples import author_orientations, author_translations, bends, define
@@ -35,6 +35,7 @@ def author_rigs(crowd: Sdf.PrimSpec, assets: Sdf.Path, motion: CastMotion, advan
             prim.kind = "component"
             prim.referenceList.Prepend(asset)
         author_agent_data(prim, motion, agent)
+        author_visibility(prim, motion, agent)
         specs: list[Sdf.PrimSpec] = []
         for index, path in enumerate(paths):
             parent = motion.body.parents[index]

@@ -15,7 +15,7 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 
 from echelon.export.actor_looks import actor_visuals
 from echelon.export.road_scene import RoadScene
-from echelon.export.shapes import fence_mesh, ground_mesh, rectangle_mesh
+from echelon.export.shapes import columns_mesh, fence_mesh, ground_mesh, rectangle_mesh
 from echelon.export.stage.camera import APERTURE, CameraMove
 from echelon.export.stage.meshes import define_mesh, mesh_names, surfaces_by_color, welded
 from echelon.export.stage.motion import continuous, prim_name, prim_names
@@ -27,6 +27,7 @@ from echelon.warp_kernels.model import Vec3
 TURF: Vec3 = (0.10, 0.19, 0.05)  # linear RGB
 MEADOW: Vec3 = (0.16, 0.20, 0.08)
 TIMBER: Vec3 = (0.28, 0.17, 0.09)
+STONE: Vec3 = (0.42, 0.40, 0.37)
 MEADOW_DEPTH = 0.02  # [m] below the turf, so that the two never share a plane
 MEADOW_REACH = 60.0  # [m] beyond the ground on every side
 
@@ -157,6 +158,10 @@ def define_world(
         fence = _define_component(stage, paths.world.AppendChild(name), painted)
         surface = welded([fence_mesh(wall["points"], wall["closed"], wall["height"])])
         define_mesh(stage, str(fence.GetPath().AppendChild("fence")), surface, TIMBER)
+    if world.get("columns"):
+        columns = _define_component(stage, paths.world.AppendChild("columns"), painted)
+        surface = welded([columns_mesh(world["columns"])])
+        define_mesh(stage, str(columns.GetPath().AppendChild("stone")), surface, STONE)
 
 
 def define_lights(stage: Usd.Stage, paths: StagePaths) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from pxr import Gf, Sdf, Vt
 
-from echelon.export.stage.agent_data import author_agent_data
+from echelon.export.stage.agent_data import author_agent_data, author_visibility
 from echelon.export.stage.characters import link_paths, skel_path
 from echelon.export.stage.motion import CastMotion, local_transforms
 from echelon.export.stage.time_samples import (
@@ -61,6 +61,7 @@ def author_skels(crowd: Sdf.PrimSpec, assets: Sdf.Path, motion: CastMotion, adva
             author_op_order(prim, ["xformOp:translate"])
         _author_animation(animation, translations[:, agent], rotations[:, agent], motion.timing)
         author_agent_data(prim, motion, agent)
+        author_visibility(prim, motion, agent)
         author_translations(prim, motion.positions[:, agent, 0], motion.timing)
         advance()
 
