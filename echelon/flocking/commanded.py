@@ -13,17 +13,19 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def command_constant(
+    first: int,
     # model
     velocity: wp.vec2,
     # out
     desired_out: wp.array[wp.vec2],
 ):
-    """The same desired velocity [m/s] for everybody."""
-    desired_out[wp.tid()] = velocity
+    """The same desired velocity [m/s] for everybody from the agent `first` on."""
+    desired_out[first + wp.tid()] = velocity
 
 
 @wp.kernel
 def command_random(
+    first: int,
     # model
     frame_in: wp.array[wp.int32],
     period: int,
@@ -39,7 +41,7 @@ def command_random(
 
     A jump that would lead beyond `max_speed` [m/s] ends at the nearest velocity within it, which makes it shorter.
     """
-    agent = wp.tid()
+    agent = first + wp.tid()
     frame = frame_in[0]
     if frame % period == 0:
         # A stream of its own for each agent and change: nobody's depends on how many others there are.

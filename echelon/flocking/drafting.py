@@ -55,6 +55,7 @@ def wake(gap: float, side: float, body_length: float) -> float:
 
 @wp.kernel
 def draft(
+    first: int,
     # model
     rules: RoadRules,
     # state in
@@ -63,7 +64,7 @@ def draft(
     riders: RoadRiders,
 ):
     """Everybody's shelter, 0 where drafting is off."""
-    rider = wp.tid()
+    rider = first + wp.tid()
     left = wp.float32(1.0)
     if rules.drafting == 1 and riders.presence[rider] == RIDING:
         for k in range(seen.found[rider]):

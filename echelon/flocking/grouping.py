@@ -39,6 +39,7 @@ def aim_distance(speed: float, rules: RoadRules) -> float:
 
 @wp.kernel
 def group(
+    first: int,
     # model
     rules: RoadRules,
     path: CentrelineData,
@@ -56,7 +57,7 @@ def group(
 
     Who has come to the finish of an open road rides out slowly: the road ends.
     """
-    rider = wp.tid()
+    rider = first + wp.tid()
     if riders.presence[rider] != RIDING:
         riders.wanted_speed[rider] = 0.0
         riders.wanted_offset[rider] = riders.home[rider]

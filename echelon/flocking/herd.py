@@ -8,16 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
 
 from echelon.flocking.commanded import command_constant, command_random
-from echelon.flocking.herding import BLOCK, HerdMind, HerdRules, Seen, enter_herd, make_up_mind, want
+from echelon.flocking.herding import BLOCK, HerdMind, HerdRules, Seen, enter_herd, find_farthest, make_up_mind, want
+from echelon.flocking.marching import follow_march, march_of
 from echelon.flocking.perception import pen_of
 from echelon.scenario import HerdSettings, WorldSettings
 from echelon.terrain.walls import wall_grid
-from echelon.warp_kernels.neighbours import CellTable, cell_table, clear_cells
+from echelon.warp_kernels.neighbours import CellTable, cell_table, empty_cells
+from echelon.warp_kernels.replay import Phase, Share, launch_all, side_by_side, slices
 
 CELL_PER_SPACING = 0.7  # size of the grid's cells: a settled herd stands at about 0.7 of the desired separation
 RADIUS_PER_SPACING = 0.5  # radius of a herd of n, over spacing times the square root of n, with some room
@@ -64,6 +67,9 @@ class Herd:
         rules: The settings, as kernels see them.
     """
 
+    by_agent = ("commanded", "intended")
+    """Arrays of `state` with a row for each agent."""
+
     def __init__(
         self,
         settings: HerdSettings,
@@ -97,6 +103,7 @@ class Herd:
         self._user = wp.array([ABSENT], dtype=wp.vec4, device=device) if user is None else user
         reach = settings.wall_distance + settings.max_speed / settings.wall_gain if settings.wall_gain > 0.0 else 0.0
         self._walls = wall_grid(world, reach, device)
+        self._march = march_of(settings, world, self._walls, frame_rate, device)
 
     def enqueue(
         self,
@@ -106,7 +113,7 @@ class Herd:
         fallen: wp.array[wp.int32],
         desired_out: wp.array[wp.vec2],
     ) -> None:
-        """Launch what a frame takes; can be captured in a graph.
+        """Launch what a frame takes, one thing after another; can be captured in a graph.
 
         Args:
             frame: Number of the frame, shape [1].
@@ -115,32 +122,72 @@ class Herd:
             fallen: 1 for those who have fallen, shape [agents].
             desired_out: Gets the desired velocities [m/s], shape [agents].
         """
-        a, rules, device = self.arrays, self.rules, self._device
-        self.enqueue_look(positions, fallen)
-        inputs = [rules, self.pen, self._seed, a.sums, self._user]
-        wp.launch(make_up_mind, dim=1, inputs=inputs, outputs=[a.mind], device=device)
-        if self._settings.mode == "constant":
-            velocity = wp.vec2(*self._settings.desired_velocity)
-            wp.launch(command_constant, self.agent_count, inputs=[velocity], outputs=[desired_out], device=device)
-        elif self._settings.mode == "random":
-            inputs = [frame, self._period, self._seed, self._settings.change, self._settings.max_speed, a.commanded]
-            wp.launch(command_random, self.agent_count, inputs=inputs, outputs=[desired_out], device=device)
-        else:
-            inputs = [rules, self.pen, self._walls, velocities, a.known, fallen, self._user, a.table, a.mind]
-            outputs = [a.seen, a.farthest, a.intended, desired_out]
-            wp.launch(want, self.agent_count, inputs=inputs, outputs=outputs, device=device)
+        share = Share.whole(self.agent_count)
+        for phase in self.look(positions, fallen, share):
+            launch_all(phase)
+        for phase in self.want(frame, velocities, fallen, desired_out, share):
+            launch_all(phase)
 
     def enqueue_look(self, positions: wp.array[wp.vec3], fallen: wp.array[wp.int32]) -> None:
         """Launch only the first part of a frame: everybody's place, and the hash grid; arguments as for `enqueue`."""
+        for phase in self.look(positions, fallen, Share.whole(self.agent_count)):
+            launch_all(phase)
+
+    def look(self, positions: wp.array[wp.vec3], fallen: wp.array[wp.int32], share: Share) -> list[Phase]:
+        """The phases of the first part of a frame: everybody's place, and the hash grid; arguments as for `enqueue`."""
         a = self.arrays
-        wp.launch(clear_cells, a.table.heads.shape[0], outputs=[a.table], device=self._device)
-        wp.launch(
-            enter_herd,
-            self.agent_count,
-            [positions, fallen, a.intended],
-            [a.table, a.known, a.sums],
-            device=self._device,
-        )
+
+        def enter(first: int, count: int) -> None:
+            inputs = [first, positions, fallen, a.intended]
+            wp.launch(enter_herd, count, inputs=inputs, outputs=[a.table, a.known, a.sums], device=self._device)
+
+        return [[partial(empty_cells, a.table)], share.everybody(enter, BLOCK)]
+
+    def want(
+        self,
+        frame: wp.array[wp.int32],
+        velocities: wp.array[wp.vec3],
+        fallen: wp.array[wp.int32],
+        desired_out: wp.array[wp.vec2],
+        share: Share,
+    ) -> list[Phase]:
+        """The phases that follow `look`: the herd's mind, and what each wants; arguments as for `enqueue`."""
+        a, rules, device, settings = self.arrays, self.rules, self._device, self._settings
+
+        def mind() -> None:
+            inputs = [rules, self.pen, self._seed, a.sums, self._user]
+            wp.launch(make_up_mind, dim=1, inputs=inputs, outputs=[a.mind], device=device)
+
+        def constant(first: int, count: int) -> None:
+            inputs = [first, wp.vec2(*settings.desired_velocity)]
+            wp.launch(command_constant, count, inputs=inputs, outputs=[desired_out], device=device)
+
+        def random(first: int, count: int) -> None:
+            inputs = [first, frame, self._period, self._seed, settings.change, settings.max_speed, a.commanded]
+            wp.launch(command_random, count, inputs=inputs, outputs=[desired_out], device=device)
+
+        def herding(first: int, count: int) -> None:
+            inputs = [first, rules, self.pen, self._walls, velocities, a.known, fallen, self._user, a.table, a.mind]
+            outputs = [a.seen, a.intended, desired_out]
+            wp.launch(want, count, inputs=inputs, outputs=outputs, device=device)
+
+        def march(first: int, count: int) -> None:
+            inputs = [first, self._march, frame, velocities, a.known, fallen, a.table]
+            outputs = [a.seen, a.intended, desired_out]
+            wp.launch(follow_march, count, inputs=inputs, outputs=outputs, device=device)
+
+        def farthest(first: int, count: int) -> None:
+            inputs = [first, fallen, a.table, a.mind]
+            wp.launch(find_farthest, count, inputs=inputs, outputs=[a.farthest], device=device)
+
+        if settings.mode == "constant":
+            return [[mind], share.own(constant)]
+        if settings.mode == "random":
+            return [[mind], share.own(random)]
+        if settings.mode == "march":
+            return [[mind], share.own(march)]
+        blocks = [partial(farthest, *part) for part in slices(len(a.farthest), share.team.size)]
+        return [[mind], side_by_side(share.own(herding), blocks)]
 
     def state(self) -> dict[str, np.ndarray]:
         """What the next frame depends on besides its arguments; copies."""

@@ -136,6 +136,7 @@ def is_member(agent: int, place: wp.vec2, fallen: wp.array[wp.int32]) -> bool:
 
 @wp.kernel
 def enter_herd(
+    first: int,
     # state in
     positions_in: wp.array[wp.vec3],
     fallen_in: wp.array[wp.int32],
@@ -146,7 +147,7 @@ def enter_herd(
     sums_out: wp.array[wp.vec3],
 ):
     """Enter every agent into the hash grid; the first of each block adds up the block's places and members."""
-    agent = wp.tid()
+    agent = first + wp.tid()
     known_out[agent] = intended_in[agent]
     enter_agent(agent, on_ground(positions_in[agent]), table)
     if agent % BLOCK == 0:
@@ -318,7 +319,29 @@ def shortened(vector: wp.vec2, longest: float) -> wp.vec2:
 
 
 @wp.kernel
+def find_farthest(
+    first_block: int,
+    # state in
+    fallen_in: wp.array[wp.int32],
+    table: CellTable,
+    mind: HerdMind,
+    # out
+    farthest_out: wp.array[wp.vec3],
+):
+    """Who of each block is farthest from the centroid."""
+    block = first_block + wp.tid()
+    farthest = wp.vec3(mind.centroid[0][0], mind.centroid[0][1], 0.0)
+    for member in range(block * BLOCK, wp.min((block + 1) * BLOCK, fallen_in.shape[0])):
+        candidate = table.places[member]
+        distance = wp.length(candidate - mind.centroid[0])
+        if is_member(member, candidate, fallen_in) and distance > farthest[2]:
+            farthest = wp.vec3(candidate[0], candidate[1], distance)
+    farthest_out[block] = farthest
+
+
+@wp.kernel
 def want(
+    first: int,
     # model
     rules: HerdRules,
     pen: Pen,
@@ -332,21 +355,11 @@ def want(
     mind: HerdMind,
     # out
     seen: Seen,
-    farthest_out: wp.array[wp.vec3],
     intended_out: wp.array[wp.vec2],
     desired_out: wp.array[wp.vec2],
 ):
-    """Look round and decide on a desired velocity; the first of each block finds who is farthest from the centroid."""
-    agent = wp.tid()
-    if agent % BLOCK == 0:
-        farthest = wp.vec3(mind.centroid[0][0], mind.centroid[0][1], 0.0)
-        for member in range(agent, wp.min(agent + BLOCK, desired_out.shape[0])):
-            candidate = table.places[member]
-            distance = wp.length(candidate - mind.centroid[0])
-            if is_member(member, candidate, fallen_in) and distance > farthest[2]:
-                farthest = wp.vec3(candidate[0], candidate[1], distance)
-        farthest_out[agent // BLOCK] = farthest
-
+    """Look round and decide on a desired velocity."""
+    agent = first + wp.tid()
     place = table.places[agent]
     if not is_member(agent, place, fallen_in):
         desired_out[agent] = wp.vec2(0.0, 0.0)

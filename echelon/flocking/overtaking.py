@@ -98,6 +98,7 @@ def lane_cost(
 
 @wp.kernel
 def choose(
+    first: int,
     # model
     rules: RoadRules,
     path: CentrelineData,
@@ -113,7 +114,7 @@ def choose(
     riders: RoadRiders,
 ):
     """Choose an offset to ride at, each rider in its turn; in between follow the wanted offset if that was chosen."""
-    rider = wp.tid()
+    rider = first + wp.tid()
     if riders.presence[rider] != RIDING:
         return
     wanted = riders.wanted_offset[rider]

@@ -19,7 +19,9 @@ import warp as wp
 
 from echelon.flocking.perception import Pen, is_inside, pen_of
 from echelon.scenario import HerdSettings, WorldSettings
+from echelon.warp_kernels.atomics import atomic_increase
 from echelon.warp_kernels.neighbours import NOBODY, CellTable, cell_entry, is_somewhere
+from echelon.warp_kernels.replay import Phase, Share, launch_all
 
 wp.set_module_options({"enable_backward": False})
 
@@ -52,6 +54,8 @@ def overlap(a: wp.vec2, b: wp.vec2, least: float) -> bool:
 
 @wp.kernel
 def count_agent(
+    first: int,
+    own: wp.vec2i,
     # model
     pen: Pen,
     least: float,
@@ -67,20 +71,26 @@ def count_agent(
     gates_out: wp.array[wp.int32],
     collisions_out: wp.array[wp.int32],
     partners_out: wp.array2d[wp.int32],
+    collision_count_out: wp.array[wp.int32],
 ):
-    """Look at one agent: is it inside, has it passed the gate, which collisions with a higher index has it begun?"""
-    agent = wp.tid()
+    """Look at one agent: is it inside, has it passed the gate, which collisions with a higher index has it begun?
+
+    The last is looked for only for agents from `own[0]` to before `own[1]`.
+    """
+    agent = first + wp.tid()
     place = table.places[agent]
     is_in = wp.where(is_inside(place, pen), 1, 0)
-    wp.atomic_add(totals, INSIDE, is_in)
+    if is_in == 1:
+        atomic_increase(totals, INSIDE, 1)
     gates_out[agent] = 0
-    if last_frame_in[0] != NEVER and is_in != inside[agent]:
+    # Who is nowhere any more has not gone through the gate.
+    if last_frame_in[0] != NEVER and is_in != inside[agent] and is_somewhere(place):
         gates_out[agent] = is_in - inside[agent]
-        wp.atomic_add(totals, GATES, 1)
+        atomic_increase(totals, GATES, 1)
     inside[agent] = is_in
 
     begun = wp.int32(0)
-    if is_somewhere(place) and frame_in[0] != last_frame_in[0]:
+    if agent >= own[0] and agent < own[1] and is_somewhere(place) and frame_in[0] != last_frame_in[0]:
         columns = wp.vec2i(
             int(wp.floor((place[0] - least) / table.cell_size)), int(wp.floor((place[0] + least) / table.cell_size))
         )
@@ -98,7 +108,8 @@ def count_agent(
                     other = table.nexts[other]
     collisions_out[agent] = begun
     if begun > 0:
-        wp.atomic_add(totals, COLLISIONS, begun)
+        collision_count_out[agent] = collision_count_out[agent] + begun
+        atomic_increase(totals, COLLISIONS, begun)
 
 
 @wp.func
@@ -148,6 +159,7 @@ class RefereeArrays:
         gates: 1 for those who have come in since the frame before, -1 for those who have gone out, shape [agents].
         collisions: How many collisions with others of higher index have begun in this frame, shape [agents].
         partners: The indices of those others, as many as there are, ascending, shape [agents, PARTNER_LIMIT].
+        collision_count: How many collisions of each with others of higher index have begun so far, shape [agents].
         previous: Places [m], shape [agents].
         last_frame: Number of the frame, shape [1].
     """
@@ -157,6 +169,7 @@ class RefereeArrays:
     gates: wp.array[wp.int32]
     collisions: wp.array[wp.int32]
     partners: wp.array2d[wp.int32]
+    collision_count: wp.array[wp.int32]
     previous: wp.array[wp.vec2]
     last_frame: wp.array[wp.int32]
 
@@ -167,6 +180,9 @@ class Referee:
     Attributes:
         arrays: What it has seen.
     """
+
+    by_agent = ("inside", "previous", "collision_count")
+    """Arrays of `state` with a row for each agent."""
 
     def __init__(
         self, settings: HerdSettings, world: WorldSettings, agent_count: int, *, device: wp.DeviceLike = None
@@ -195,6 +211,7 @@ class Referee:
             gates=whole(agent_count),
             collisions=whole(agent_count),
             partners=whole(agent_count, PARTNER_LIMIT),
+            collision_count=whole(agent_count),
             previous=wp.full(agent_count, wp.vec2(np.inf, np.inf), dtype=wp.vec2, device=device),
             last_frame=wp.full(1, NEVER, dtype=wp.int32, device=device),
         )
@@ -206,12 +223,27 @@ class Referee:
             frame: Number of the frame, shape [1]; looking at the same frame twice counts nothing twice.
             table: Everybody's place, in the hash grid.
         """
+        for phase in self.count(frame, table, Share.whole(self._agent_count)):
+            launch_all(phase)
+
+    def count(self, frame: wp.array[wp.int32], table: CellTable, share: Share) -> list[Phase]:
+        """The phases of a look: before, at everybody, and after; arguments as for `enqueue`."""
         a, device = self.arrays, self._device
-        wp.launch(begin_count, dim=1, outputs=[a.totals], device=device)
-        inputs = [self._pen, self._least, frame, a.last_frame, table, a.previous, a.inside, a.totals]
-        wp.launch(count_agent, self._agent_count, inputs, [a.gates, a.collisions, a.partners], device=device)
-        inputs = [self._enough, frame, table, a.last_frame, a.totals]
-        wp.launch(end_count, self._agent_count, inputs, [a.previous], device=device)
+        own = wp.vec2i(share.first, share.first + share.count)
+
+        def begin() -> None:
+            wp.launch(begin_count, dim=1, outputs=[a.totals], device=device)
+
+        def look(first: int, count: int) -> None:
+            inputs = [first, own, self._pen, self._least, frame, a.last_frame, table, a.previous, a.inside, a.totals]
+            outputs = [a.gates, a.collisions, a.partners, a.collision_count]
+            wp.launch(count_agent, count, inputs=inputs, outputs=outputs, device=device)
+
+        def end() -> None:
+            inputs = [self._enough, frame, table, a.last_frame, a.totals]
+            wp.launch(end_count, self._agent_count, inputs, [a.previous], device=device)
+
+        return [[begin], share.everybody(look), [end]]
 
     def totals(self) -> dict[str, int]:
         """The totals by name; waits for the device."""
@@ -225,13 +257,19 @@ class Referee:
 
     def state(self) -> dict[str, np.ndarray]:
         """What the next frame depends on besides its arguments; copies."""
-        return {name: array.numpy().copy() for name, array in self._persistent().items()}
+        counted = self.arrays.totals.numpy()[1:3].copy()
+        return {name: array.numpy().copy() for name, array in self._persistent().items()} | {"counted": counted}
 
     def load_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Go on from what `state` gave."""
+        a = self.arrays
         for name, array in self._persistent().items():
             array.assign(state[name])
+        inside, collisions = (int(array.numpy().sum()) for array in (a.inside, a.collision_count))
+        penned_frames, gates = state["counted"].tolist()
+        a.totals.assign(np.array([inside, penned_frames, gates, collisions], dtype=np.int32))
 
     def _persistent(self) -> dict[str, wp.array]:
         a = self.arrays
-        return {"totals": a.totals, "inside": a.inside, "previous": a.previous, "last_frame": a.last_frame}
+        agents = {"inside": a.inside, "previous": a.previous, "collision_count": a.collision_count}
+        return agents | {"last_frame": a.last_frame}

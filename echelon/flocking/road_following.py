@@ -61,6 +61,7 @@ def move_plan(rider: int, rules: RoadRules, seen: RidersSeen, riders: RoadRiders
 
 @wp.kernel
 def command(
+    first: int,
     # model
     rules: RoadRules,
     path: CentrelineData,
@@ -79,9 +80,12 @@ def command(
 
     The user gets a speed [m/s] and steers along its plan (`road_user`).
     """
-    rider = wp.tid()
+    rider = first + wp.tid()
     if riders.presence[rider] != RIDING:
         riders.command_speed[rider] = 0.0
+        # Whoever gets up again makes new plans, from where that is.
+        riders.lane[rider] = wp.clamp(riders.offset[rider], -rules.edge, rules.edge)
+        riders.lane_rate[rider] = 0.0
         if rider == rules.first_user:
             wish_out[0] = 0.0
         else:

@@ -21,7 +21,9 @@ from echelon.flocking.referee import PARTNER_LIMIT, enter_partner
 from echelon.flocking.road_obstacles import RoadObstacles
 from echelon.flocking.road_riders import ABSENT, UNFINISHED, RoadRiders, RoadRules, left_of, level_tangent, line_gap
 from echelon.terrain.spline import CentrelineData, centreline_curvature
+from echelon.warp_kernels.atomics import atomic_increase
 from echelon.warp_kernels.neighbours import NOBODY, CellTable, cell_entry, is_somewhere
+from echelon.warp_kernels.replay import Phase, Share
 
 wp.set_module_options({"enable_backward": False})
 
@@ -133,13 +135,38 @@ def touches_obstacle(
 
 # ---- looking ---------------------------------------------------------------------------------------------------------
 @wp.kernel
-def judge(
+def time_riders(
+    first: int,
     # model
     rules: RoadRules,
     path: CentrelineData,
     finish: wp.float64,
     # state in
     frame_in: wp.array[wp.int32],
+    riders: RoadRiders,
+    # state in and out
+    totals: wp.array[wp.int32],
+    progress: wp.array[wp.float64],
+    finish_frame: wp.array[wp.int32],
+):
+    """How far each rider has come, and who is there: for everybody, since the run may end with it."""
+    rider = first + wp.tid()
+    if riders.presence[rider] == ABSENT:
+        return
+    progress[rider] = wp.float64(riders.s[rider]) + wp.float64(riders.laps[rider]) * wp.float64(path.length)
+    if finish_frame[rider] == UNFINISHED and progress[rider] >= finish:
+        finish_frame[rider] = frame_in[0]
+        if rider != rules.first_user:
+            atomic_increase(totals, FINISHED, 1)
+
+
+@wp.kernel
+def judge(
+    first: int,
+    # model
+    rules: RoadRules,
+    path: CentrelineData,
+    # state in
     frames_in: wp.array[wp.int32],
     table: CellTable,
     riders: RoadRiders,
@@ -148,35 +175,28 @@ def judge(
     previous_heading_in: wp.array[wp.vec2],
     # state in and out
     totals: wp.array[wp.int32],
-    progress: wp.array[wp.float64],
     distance: wp.array[wp.float64],
     off_road: wp.array[wp.int32],
     off_road_count: wp.array[wp.int32],
     struck: wp.array[wp.int32],
     struck_count: wp.array[wp.int32],
     collisions: wp.array[wp.int32],
-    finish_frame: wp.array[wp.int32],
     shelter_sum: wp.array[wp.float64],
     # out
     begun_out: wp.array[wp.int32],
     partners_out: wp.array2d[wp.int32],
 ):
     """Look at one rider."""
-    rider = wp.tid()
+    rider = first + wp.tid()
     begun_out[rider] = 0
     if riders.presence[rider] == ABSENT:
         return
     place = table.places[rider]
     heading = riders.heading[rider]
-    first = frames_in[0] == 0
+    begins = frames_in[0] == 0
 
-    progress[rider] = wp.float64(riders.s[rider]) + wp.float64(riders.laps[rider]) * wp.float64(path.length)
-    if not first and is_somewhere(previous_in[rider]):
+    if not begins and is_somewhere(previous_in[rider]):
         distance[rider] = distance[rider] + wp.float64(wp.length(place - previous_in[rider]))
-    if finish_frame[rider] == UNFINISHED and progress[rider] >= finish:
-        finish_frame[rider] = frame_in[0]
-        if rider != rules.first_user:
-            wp.atomic_add(totals, FINISHED, 1)
     shelter_sum[rider] = shelter_sum[rider] + wp.float64(riders.shelter[rider])
 
     tangent = level_tangent(path, riders.s[rider])
@@ -186,13 +206,13 @@ def judge(
     is_off = wp.where(wp.max(wp.abs(riders.offset[rider]), wp.abs(front)) > rules.half_width, 1, 0)
     if is_off == 1 and off_road[rider] == 0:
         off_road_count[rider] = off_road_count[rider] + 1
-        wp.atomic_add(totals, OFF_ROAD, 1)
+        atomic_increase(totals, OFF_ROAD, 1)
     off_road[rider] = is_off
 
     touching = wp.where(touches_obstacle(rider, rules, path, riders, obstacles), 1, 0)
     if touching == 1 and struck[rider] == 0:
         struck_count[rider] = struck_count[rider] + 1
-        wp.atomic_add(totals, STRUCK, 1)
+        atomic_increase(totals, STRUCK, 1)
     struck[rider] = touching
 
     begun = wp.int32(0)
@@ -210,7 +230,7 @@ def judge(
                 if other > rider and wp.length(table.places[other] - place) < around:
                     now = bodies_overlap(place, heading, table.places[other], riders.heading[other], rules)
                     if now:
-                        before = not first and bodies_overlap(
+                        before = not begins and bodies_overlap(
                             previous_in[rider],
                             previous_heading_in[rider],
                             previous_in[other],
@@ -224,7 +244,7 @@ def judge(
     begun_out[rider] = begun
     if begun > 0:
         collisions[rider] = collisions[rider] + begun
-        wp.atomic_add(totals, COLLISIONS, begun)
+        atomic_increase(totals, COLLISIONS, begun)
 
 
 @wp.kernel
@@ -290,7 +310,7 @@ class RoadReferee:
             previous_heading=wp.zeros(count, dtype=wp.vec2, device=device),
         )
 
-    def enqueue(
+    def phases(
         self,
         frame: wp.array[wp.int32],
         rules: RoadRules,
@@ -298,15 +318,26 @@ class RoadReferee:
         table: CellTable,
         riders: RoadRiders,
         obstacles: RoadObstacles,
-    ) -> None:
-        """Launch a look at everybody; can be captured in a graph."""
+        share: Share,
+    ) -> list[Phase]:
+        """What a look takes: how far everybody is, whom and what the share's own riders touch, what to remember."""
         a, device = self.arrays, self._device
-        inputs = [rules, path, self.finish, frame, a.frames, table, riders, obstacles, a.previous, a.previous_heading]
-        inputs += [a.totals, a.progress, a.distance, a.off_road, a.off_road_count, a.struck, a.struck_count]
-        inputs += [a.collisions, a.finish_frame, a.shelter_sum]
-        wp.launch(judge, self._count, inputs=inputs, outputs=[a.begun, a.partners], device=device)
-        outputs = [a.previous, a.previous_heading]
-        wp.launch(remember, self._count, inputs=[table, riders, a.frames], outputs=outputs, device=device)
+
+        def time(first: int, count: int) -> None:
+            inputs = [first, rules, path, self.finish, frame, riders, a.totals, a.progress, a.finish_frame]
+            wp.launch(time_riders, count, inputs=inputs, device=device)
+
+        def look(first: int, count: int) -> None:
+            inputs = [first, rules, path, a.frames, table, riders, obstacles, a.previous, a.previous_heading]
+            inputs += [a.totals, a.distance, a.off_road, a.off_road_count, a.struck, a.struck_count]
+            inputs += [a.collisions, a.shelter_sum]
+            wp.launch(judge, count, inputs=inputs, outputs=[a.begun, a.partners], device=device)
+
+        def keep() -> None:
+            outputs = [a.previous, a.previous_heading]
+            wp.launch(remember, self._count, inputs=[table, riders, a.frames], outputs=outputs, device=device)
+
+        return [share.everybody(time), share.own(look), [keep]]
 
     def totals(self) -> dict[str, int]:
         """The totals by name; waits for the device."""
@@ -319,9 +350,20 @@ class RoadReferee:
         return [(int(a), int(b)) for a in np.flatnonzero(begun) for b in partners[a, : begun[a]]]
 
     def state(self) -> dict[str, wp.array]:
-        """What the next frame depends on, by name; the arrays themselves."""
+        """What the next frame depends on, by name; the arrays themselves, without what follows from them."""
         return {
             field.name: getattr(self.arrays, field.name)
             for field in fields(self.arrays)
-            if field.name not in ("begun", "partners")
+            if field.name not in ("begun", "partners", "totals")
         }
+
+    def count_anew(self, user_count: int) -> None:
+        """Make the totals those of the state, which has been loaded.
+
+        Args:
+            user_count: How many of the last riders are users, who do not count among the finished.
+        """
+        a = self.arrays
+        finished = a.finish_frame.numpy()[: self._count - user_count] != UNFINISHED
+        counts = (a.off_road_count.numpy(), a.collisions.numpy(), a.struck_count.numpy(), finished)
+        a.totals.assign(np.array([part.sum() for part in counts], dtype=np.int32))

@@ -190,6 +190,7 @@ def line_gap(path: CentrelineData, s: float, offset: float, other: float) -> flo
 # ---- where is everybody? ---------------------------------------------------------------------------------------------
 @wp.kernel
 def locate(
+    first: int,
     # model
     rules: RoadRules,
     path: CentrelineData,
@@ -204,7 +205,7 @@ def locate(
     table: CellTable,
 ):
     """Place everybody along the road, from where each was a frame before, and enter them into the hash grid."""
-    rider = wp.tid()
+    rider = first + wp.tid()
     place = wp.vec2(0.0, 0.0)
     velocity = wp.vec2(0.0, 0.0)
     presence = wp.int32(0)
@@ -249,6 +250,7 @@ def locate(
 # ---- whom does each see? ---------------------------------------------------------------------------------------------
 @wp.kernel
 def see(
+    first: int,
     # model
     rules: RoadRules,
     path: CentrelineData,
@@ -259,7 +261,7 @@ def see(
     seen: RidersSeen,
 ):
     """Find the nearest others on the same stretch of road, and how far ahead each is."""
-    rider = wp.tid()
+    rider = first + wp.tid()
     seen.found[rider] = 0
     if riders.presence[rider] != RIDING:
         return

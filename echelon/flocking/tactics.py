@@ -106,6 +106,7 @@ def draw(seed: int, stream: int, rider: int) -> float:
 
 @wp.kernel
 def decide(
+    first: int,
     # model
     rules: RoadRules,
     tactics: TacticsRules,
@@ -119,7 +120,7 @@ def decide(
     riders: RoadRiders,
 ):
     """Choose anew or go on, and let that change the wanted speed and offset; the user has no tactics."""
-    rider = wp.tid()
+    rider = first + wp.tid()
     if riders.presence[rider] != RIDING or rider == rules.first_user:
         return
     gap_ahead = float(NOBODY_NEAR)

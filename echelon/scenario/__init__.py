@@ -3,15 +3,17 @@
 from echelon.scenario.herd import CollieSettings, HerdSettings
 from echelon.scenario.road import ObstacleSettings, PelotonSettings, TacticsSettings, UserSettings
 from echelon.scenario.scenario import CHARACTERS, RIDERS, CrowdSettings, EngineSettings, Scenario, ShotSettings
-from echelon.scenario.world import CorralSettings, WorldSettings
+from echelon.scenario.world import ColumnFieldSettings, CorralSettings, GapSettings, WallSettings, WorldSettings
 
 __all__ = [
     "CHARACTERS",
     "RIDERS",
     "CollieSettings",
+    "ColumnFieldSettings",
     "CorralSettings",
     "CrowdSettings",
     "EngineSettings",
+    "GapSettings",
     "HerdSettings",
     "ObstacleSettings",
     "PelotonSettings",
@@ -19,5 +21,6 @@ __all__ = [
     "ShotSettings",
     "TacticsSettings",
     "UserSettings",
+    "WallSettings",
     "WorldSettings",
 ]

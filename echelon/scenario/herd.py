@@ -15,9 +15,15 @@ class HerdSettings:
     """What each member of the crowd wants, given whom it sees.
 
     Attributes:
-        mode: "herd" keeps together, wanders and flees; "constant" gives everybody `desired_velocity`; "random" changes
-            each one's desired velocity by up to `change` every `period`.
-        desired_velocity: For mode "constant" (x, y) [m/s].
+        mode: "herd" keeps together, wanders and flees; "march" keeps together and goes where `desired_velocity` and
+            `turns` say, by `law`; "constant" gives everybody `desired_velocity`; "random" changes each one's desired
+            velocity by up to `change` every `period`.
+        desired_velocity: For modes "constant" and "march" (x, y) [m/s].
+        turns: For mode "march", (time [s], x, y [m/s]) by increasing time: desired velocities from then on.
+        law: For mode "march", how each one keeps its distance: "brogan-hodgins" as published, by desired positions
+            alone; "approach" also limits how fast one may come nearer to what is ahead; "foresight" also looks for the
+            velocity whose consequences are best, for those who can neither stop nor step aside; "alone" does not see
+            others.
         change: For mode "random", the greatest change of desired velocity [m/s].
         period: For mode "random", time between changes [s].
         spacing: Distance that neighbours keep from one another [m].
@@ -37,10 +43,18 @@ class HerdSettings:
         clearance: Gap kept between two bodies [m].
         clearance_gain: Greatest speed of closing in on another, for each metre left before `clearance` [1/s].
         lookahead: Neighbours are reckoned with where they will be so much later [s].
+        sight: For mode "march", how far ahead fences and columns across the way are seen [m].
+        horizon: For law "foresight", how far ahead consequences are reckoned [s].
+        response: For law "foresight", time until a body begins to take up a new velocity [s].
+        acceleration: For law "foresight", at which it then changes its velocity [m/s^2].
+        slowest: For law "foresight", the least speed that is chosen [m/s].
+        nose: For law "foresight", how far a body reaches ahead of its place, on its way past fences and columns [m].
     """
 
-    mode: Literal["herd", "constant", "random"] = "herd"
+    mode: Literal["herd", "march", "constant", "random"] = "herd"
     desired_velocity: Annotated[Point, Within("m/s", at_least=-20, at_most=20)] = (0.0, 0.0)
+    turns: Annotated[tuple[tuple[float, float, float], ...], Within(at_least=-1e5, at_most=1e5)] = ()
+    law: Literal["brogan-hodgins", "approach", "foresight", "alone"] = "approach"
     change: Annotated[float, Within("m/s", at_least=0, at_most=20)] = 1.0
     period: Annotated[float, Within("s", above=0, at_most=1e4)] = 2.0
     spacing: Annotated[float, Within("m", above=0, at_most=100)] = 2.5
@@ -60,9 +74,20 @@ class HerdSettings:
     clearance: Annotated[float, Within("m", at_least=0, at_most=100)] = 0.8
     clearance_gain: Annotated[float, Within("1/s", at_least=0, at_most=100)] = 1.0
     lookahead: Annotated[float, Within("s", at_least=0, at_most=10)] = 0.3
+    sight: Annotated[float, Within("m", at_least=0, at_most=1e4)] = 10.0
+    horizon: Annotated[float, Within("s", above=0, at_most=60)] = 3.0
+    response: Annotated[float, Within("s", at_least=0, at_most=10)] = 0.3
+    acceleration: Annotated[float, Within("m/s^2", above=0, at_most=100)] = 3.0
+    slowest: Annotated[float, Within("m/s", at_least=0, at_most=20)] = 0.0
+    nose: Annotated[float, Within("m", at_least=0, at_most=10)] = 0.0
 
     def __post_init__(self) -> None:
         adopt(self, "herd")
+        last = -math.inf
+        for index, turn in enumerate(self.turns):
+            if turn[0] <= last:
+                raise SettingError(f"herd.turns[{index}]", f" = {list(turn)}: its time must be later than {last:g} s")
+            last = turn[0]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ World axes are x forward, y left, z up; metres, kilograms, seconds, radians.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,11 +29,15 @@ CHARACTERS: Mapping[str, str] = {
     "hopper": "one-legged hopping robot, after Raibert",
     "cyclist": "rider of 12 segments on a racing bicycle",
     "cyclist-1995": "rider of 15 segments on a racing bicycle",
+    "point-mass": "puck that takes up any velocity, as far as its acceleration allows",
 }
 """The characters that a crowd can be made of, and a line about each."""
 
 RIDERS = ("cyclist", "cyclist-1995")
-"""Those who ride on roads; the others live on fields."""
+"""Those who ride: on roads, and on fields from a running start; the others live on fields."""
+
+LEAST_RIDING_SPEED = 2.0
+"""Slower than this a rider does not start on a field [m/s]."""
 
 _SEED_LIMIT = 2**31 - 1
 
@@ -47,9 +52,16 @@ class CrowdSettings:
         start_center: Middle of the region where they start [m].
         start_spacing: Distance between neighbours of the hexagonal pattern they start in [m].
         start_jitter: Each is moved from its place in the pattern by up to this, along x and along y [m].
+        start_velocity: Everybody's at the start (x, y); riders must have one [m/s].
         positions: Start positions (x, y), one for each, instead of the pattern [m].
         variation: Relative spread between individuals: of a hopper's leg stiffness and hop height, of a rider's power.
         in_phase: All start at the same phase of their hop, or of their cranks.
+        fallen: What becomes of who falls: they "lie" there, "stand" up where they lie once there is room, or are taken
+            away ("remove").
+        fallen_seconds: How long they lie before they stand up or are taken away [s].
+        contact: Whether they push each other where they touch; they pass through each other otherwise.
+        restitution: Speed at which two part who ran into each other, over the speed at which they met.
+        friction: Coulomb coefficient of such contacts.
     """
 
     character: str = "hopper"
@@ -57,9 +69,15 @@ class CrowdSettings:
     start_center: Annotated[Point, Within("m", at_least=-1e5, at_most=1e5)] = (0.0, 0.0)
     start_spacing: Annotated[float, Within("m", above=0, at_most=1e3)] = 2.5
     start_jitter: Annotated[float, Within("m", at_least=0, at_most=1e3)] = 0.3
+    start_velocity: Annotated[Point, Within("m/s", at_least=-20, at_most=20)] = (0.0, 0.0)
     positions: Annotated[tuple[Point, ...], Within("m", at_least=-1e5, at_most=1e5)] = ()
     variation: Annotated[float, Within(at_least=0, at_most=0.2)] = 0.06
     in_phase: bool = False
+    fallen: Literal["lie", "stand", "remove"] = "lie"
+    fallen_seconds: Annotated[float, Within("s", at_least=0, at_most=1e5)] = 4.0
+    contact: bool = True
+    restitution: Annotated[float, Within(at_least=0, at_most=1)] = 0.3
+    friction: Annotated[float, Within(at_least=0, at_most=2)] = 0.3
 
     def __post_init__(self) -> None:
         adopt(self, "crowd")
@@ -232,9 +250,11 @@ class Scenario:
             raise SettingError("collie", ": must be left out on a road; who rides along is `user`")
 
     def _check_field(self) -> None:
-        if self.crowd.character in RIDERS:
+        if self.crowd.character in RIDERS and math.hypot(*self.crowd.start_velocity) < LEAST_RIDING_SPEED:
             raise SettingError(
-                "world.ground", f" = {shown(self.world.ground)}: must be 'road' for a {self.crowd.character}"
+                "crowd.start_velocity",
+                f" = {list(self.crowd.start_velocity)}: must be at least {LEAST_RIDING_SPEED:g} m/s for a "
+                f"{self.crowd.character} where world.ground is {shown(self.world.ground)}, not 'road'",
             )
         if self.until == "finished":
             raise SettingError("until", " = 'finished': needs world.ground = 'road'")

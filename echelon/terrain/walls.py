@@ -25,6 +25,7 @@ from echelon.scenario import WorldSettings
 
 wp.set_module_options({"enable_backward": False})
 
+COLUMN_SIDES = 16  # of the polygon that stands for a column
 HALF_CIRCLE_SEGMENTS = 24  # of the infield's fence: chords within 0.06 m of a circle of 28 m radius
 SURFACE_WALL = wp.constant(1)  # of contact sites that meet walls; all others meet the ground
 NOWHERE = wp.constant(wp.float64(-1.0e6))  # [m], offset of a plane that nothing reaches
@@ -58,14 +59,38 @@ class Fence:
 
 # ---- set pieces ------------------------------------------------------------------------------------------------------
 def infield_walls(world: WorldSettings) -> tuple[Fence, ...]:
-    """The fences of a world: the infield's, counter-clockwise, if it has one; then the corral's, if there is one."""
+    """The fences of a world, those there are: the infield's, counter-clockwise, the corral's, the gap's, all others."""
     found: list[Fence] = []
     if world.ground == "oval":
         outline = _stadium(world.half_length, world.half_width)
         found.append(Fence("infield", outline, closed=True, height=world.fence_height))
     if world.corral is not None:
         found.append(Fence("corral", world.corral.fences(), closed=False, height=world.fence_height))
+    if world.gap is not None:
+        for name, ends in zip(("gap_left", "gap_right"), world.gap.fences(), strict=True):
+            found.append(Fence(name, ends, closed=False, height=world.fence_height))
+    for index, wall in enumerate(world.walls):
+        found.append(Fence(f"wall_{index + 1}", wall.points, closed=wall.closed, height=wall.height))
     return tuple(found)
+
+
+def column_segments(world: WorldSettings) -> np.ndarray:
+    """The columns as polygons around them, as float32 rows (x0, y0, x1, y1) [m], shape [pieces, 4].
+
+    A polygon lies outside of its circle, by a fiftieth of the radius at its corners, so that what stops at it has not
+    yet entered what is drawn.
+    """
+    columns = world.all_columns()
+    angle = 2.0 * math.pi * np.arange(COLUMN_SIDES) / COLUMN_SIDES
+    around = np.column_stack([np.cos(angle), np.sin(angle)]) / math.cos(math.pi / COLUMN_SIDES)
+    corners = columns[:, None, :2] + columns[:, None, 2:] * around
+    rows = np.concatenate([corners, np.roll(corners, -1, axis=1)], axis=2)
+    return rows.reshape(-1, 4).astype(np.float32)
+
+
+def wall_segments(world: WorldSettings) -> np.ndarray:
+    """All that stops a body: the pieces of fences, then of columns, float32 [m], shape [pieces, 4]."""
+    return np.vstack([segments(infield_walls(world)), column_segments(world)])
 
 
 def segments(of: Iterable[Fence]) -> np.ndarray:
@@ -76,11 +101,11 @@ def segments(of: Iterable[Fence]) -> np.ndarray:
 
 def wall_array(world: WorldSettings, device: wp.DeviceLike = None) -> wp.array[wp.vec4]:
     """The walls of a world on a device [m], shape [pieces], for `nearest_wall`."""
-    return wp.array(segments(infield_walls(world)), dtype=wp.vec4, device=device)
+    return wp.array(wall_segments(world), dtype=wp.vec4, device=device)
 
 
 def world_dict(world: WorldSettings) -> dict[str, Any]:
-    """The set pieces as plain data, as recordings carry them: ground, walls and, where there is one, the corral."""
+    """The set pieces as plain data, as recordings carry them: ground, walls, corral and columns if there are any."""
     if world.ground == "oval":
         ground = {"shape": "oval", "half_length": world.half_length, "half_width": world.half_width}
     else:
@@ -99,6 +124,11 @@ def world_dict(world: WorldSettings) -> dict[str, Any]:
             "opening": world.corral.opening,
             "facing": list(world.corral.facing),
         }
+    columns = world.all_columns()
+    if len(columns):
+        data["columns"] = [
+            {"center": [x, y], "radius": r, "height": world.column_height} for x, y, r in columns.tolist()
+        ]
     return data
 
 
@@ -176,7 +206,7 @@ class WallGrid:
 
 def wall_grid(world: WorldSettings, reach: float, device: wp.DeviceLike = None) -> WallGrid:
     """The walls of a world, ready to be asked what is within `reach` [m] of a point."""
-    return grid_of_walls(segments(infield_walls(world)), reach, device)
+    return grid_of_walls(wall_segments(world), reach, device)
 
 
 def grid_of_walls(walls: np.ndarray, reach: float, device: wp.DeviceLike = None) -> WallGrid:

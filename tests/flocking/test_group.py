@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from echelon.flocking.group import GRAPH_LIMIT, Group
+from echelon.flocking.group import Group
 from echelon.scenario import CollieSettings, CorralSettings, CrowdSettings, HerdSettings, Scenario, WorldSettings
+from echelon.warp_kernels.replay import GRAPH_LIMIT
 from tests.flocking.point_robots import GroupRun
 
 WAYPOINTS = ((5.0, -15.0, 5.0), (12.0, 0.0, 10.0), (20.0, 10.0, -5.0))

@@ -10,9 +10,10 @@ import pytest
 import warp as wp
 
 from echelon.errors import InputError
-from echelon.flocking.peloton import GRAPH_LIMIT, Peloton
+from echelon.flocking.peloton import Peloton
 from echelon.scenario.road import ObstacleSettings, PelotonSettings, TacticsSettings, UserSettings
 from echelon.terrain.spline import Centreline
+from echelon.warp_kernels.replay import GRAPH_LIMIT
 from tests.flocking.point_cyclists import FRAME_RATE, GRAVITY, PelotonRun, Watched, rounded, straight
 
 SETTINGS = PelotonSettings()
