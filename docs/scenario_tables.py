@@ -21,9 +21,11 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 from echelon.scenario import (
     CHARACTERS,
     CollieSettings,
+    ColumnFieldSettings,
     CorralSettings,
     CrowdSettings,
     EngineSettings,
+    GapSettings,
     HerdSettings,
     ObstacleSettings,
     PelotonSettings,
@@ -31,6 +33,7 @@ from echelon.scenario import (
     ShotSettings,
     TacticsSettings,
     UserSettings,
+    WallSettings,
     WorldSettings,
 )
 from echelon.settings import Within, to_toml
@@ -43,6 +46,9 @@ TABLES: Mapping[str, type] = {
     "herd": HerdSettings,
     "world": WorldSettings,
     "world.corral": CorralSettings,
+    "world.gap": GapSettings,
+    "world.column_field": ColumnFieldSettings,
+    "world.walls": WallSettings,
     "collie": CollieSettings,
     "peloton": PelotonSettings,
     "peloton.tactics": TacticsSettings,
@@ -103,7 +109,7 @@ def _meaning(text: str, name: str) -> str:
 
 def _default(entry: Field[Any]) -> str:
     if entry.default is MISSING:
-        return _FROM_NAME
+        return _FROM_NAME if entry.name == "name" else ""
     return f"`{to_toml({'x': entry.default}).strip().removeprefix('x = ')}`"
 
 

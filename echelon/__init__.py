@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from echelon.recording import Recording
     from echelon.runs import Run, open_recording, resume, simulate
     from echelon.scenario import Scenario
+    from echelon.sweeping import SweepResult, sweep
     from echelon.warp_kernels.reference import Body
 
 __version__ = "0.1.0"
@@ -29,12 +30,14 @@ __all__ = [
     "Recording",
     "Run",
     "Scenario",
+    "SweepResult",
     "__version__",
     "body_names",
     "load_body",
     "open_recording",
     "resume",
     "simulate",
+    "sweep",
 ]
 
 _HOME = {
@@ -42,12 +45,14 @@ _HOME = {
     "InputError": "echelon.errors",
     "Recording": "echelon.recording",
     "Scenario": "echelon.scenario",
+    "SweepResult": "echelon.sweeping",
     "body_names": "echelon.agents.bodies",
     "load_body": "echelon.agents.bodies",
     "Run": "echelon.runs",
     "open_recording": "echelon.runs",
     "resume": "echelon.runs",
     "simulate": "echelon.runs",
+    "sweep": "echelon.sweeping",
 }
 
 

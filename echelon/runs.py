@@ -7,11 +7,14 @@ import weakref
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from echelon.errors import InputError
 from echelon.recording import Recording
 from echelon.scenario import Scenario
+
+if TYPE_CHECKING:
+    from echelon.simulation import RunCost
 
 Progress = Callable[[int, int], None]
 
@@ -20,7 +23,12 @@ class Run(Recording):
     """A recording that knows how to leave: as a USD stage, a film, a still, a filmstrip, or a plot.
 
     Everything else about it is `Recording`'s: ``times``, ``link_poses``, ``events``, ``scenario``, ``summary``, ...
+
+    Attributes:
+        cost: What simulating it took here (threads, memory, time by phase); None where it was opened.
     """
+
+    cost: RunCost | None = None
 
     def export(
         self,
@@ -124,8 +132,10 @@ def simulate(
         temporary = tempfile.TemporaryDirectory(prefix="echelon-")
         recording = Path(temporary.name) / f"{plan.name}.recording"
     folder = Path(recording)
-    simulation.simulate(plan, recording=folder, threads=threads, progress=progress, device=device)
+    cost = simulation.RunCost()
+    simulation.simulate(plan, recording=folder, threads=threads, progress=progress, device=device, cost=cost)
     run = Run(folder)
+    run.cost = cost
     if temporary is not None:
         weakref.finalize(run, temporary.cleanup)
     return run
@@ -146,8 +156,11 @@ def resume(
     """
     from echelon import simulation
 
-    simulation.resume(Path(recording), threads=threads, progress=progress, device=device)
-    return Run(Path(recording))
+    cost = simulation.RunCost()
+    simulation.resume(Path(recording), threads=threads, progress=progress, device=device, cost=cost)
+    run = Run(Path(recording))
+    run.cost = cost
+    return run
 
 
 def open_recording(path: str | PathLike[str]) -> Run:

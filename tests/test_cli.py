@@ -26,18 +26,32 @@ from echelon.agents.bodies import load_body
 from echelon.cli.progress import Reporter, duration, size, speed_text
 from echelon.errors import InputError
 from echelon.export.renderer import RenderingUnavailable
+from echelon.ranks import Ranks
 from echelon.recording import Cast, Recording, RecordingFailed, RecordingWriter
 from echelon.scenario import Scenario
+from echelon.simulation.cost import PHASES, RunCost
 
-COMMANDS = ("simulate", "resume", "export", "render", "plot", "bench", "list", "describe")
+COMMANDS = ("simulate", "resume", "sweep", "export", "render", "plot", "bench", "list", "describe")
 REPORTED = {
     "scenario", "agents", "seed", "frames", "seconds", "falls", "collisions", "nonfinite", "in_corral", "wall_seconds",
-    "real_time_factor", "state_hash", "recording", "stage",
+    "real_time_factor", "state_hash", "recording", "stage", "threads", "ranks", "peak_memory_mb", "phase_seconds",
 }  # fmt: skip
 
 
-def stand_in(scenario: Scenario, *, recording: Path, threads: int | None, progress: Any, stop: Any = None) -> Recording:
+def stand_in(
+    scenario: Scenario,
+    *,
+    recording: Path,
+    threads: int | None,
+    progress: Any,
+    ranks: Ranks | None = None,
+    cost: RunCost | None = None,
+    stop: Any = None,
+) -> Recording:
     """A run in which everybody stands still; ``stop`` may raise after the second chunk."""
+    assert ranks is None or ranks.size == 1
+    if cost is not None:
+        cost.threads = 3
     count, frames = scenario.crowd.count, scenario.step_count + 1
     cast = Cast("hopper", load_body("hopper"), 0, count, np.full((count, 3), 0.5))
     with RecordingWriter.create(
@@ -71,6 +85,7 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     module = ModuleType("echelon.simulation")
     module.simulate = stand_in  # type: ignore[attr-defined]
     module.resume = stand_in  # type: ignore[attr-defined]
+    module.RunCost = RunCost  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "echelon.simulation", module)
     return module
 
@@ -345,8 +360,8 @@ def test_resume(engine: ModuleType, here: Path, said: Said) -> None:
     with pytest.raises(KeyboardInterrupt):
         stand_in(scenario, recording=here / "run", threads=None, progress=lambda *_: None, stop=interrupt)
 
-    def going_on(path: Path, *, threads: int | None, progress: Any) -> Recording:
-        return stand_in(scenario, recording=path, threads=threads, progress=progress)
+    def going_on(path: Path, *, threads: int | None, progress: Any, ranks: Ranks, cost: RunCost) -> Recording:
+        return stand_in(scenario, recording=path, threads=threads, progress=progress, ranks=ranks, cost=cost)
 
     engine.resume = going_on  # type: ignore[attr-defined]
     assert cli.run(["resume", "run", "--out", "herd.usd"]) == 0
@@ -549,6 +564,8 @@ def test_a_real_run(here: Path, said: Said) -> None:
         assert err == ""
         reports.append(json.loads(out))
     assert all(set(report) >= REPORTED for report in reports)
+    assert all(set(report["phase_seconds"]) == set(PHASES) and report["ranks"] == 1 for report in reports)
+    assert all(report["phase_seconds"]["act"] > 0.0 and report["phase_seconds"]["write"] > 0.0 for report in reports)
     assert reports[0]["state_hash"] == reports[1]["state_hash"] != reports[2]["state_hash"]
     assert (reports[0]["frames"], reports[0]["falls"], reports[0]["nonfinite"]) == (46, 0, 0)
     assert reports[1]["recording"] == "herd.recording"

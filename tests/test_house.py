@@ -11,22 +11,25 @@ import echelon
 
 PACKAGE = Path(echelon.__file__).parent
 
-GROUND = {"errors", "settings", "warp_kernels", "terrain", "scenario", "recording"}
+GROUND = {"errors", "settings", "launcher", "ranks", "warp_kernels", "terrain", "scenario", "recording"}
 MIDDLE = {"agents", "flocking", "export"}
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "settings": {"errors"},
+    "launcher": set(),
+    "ranks": {"errors", "launcher"},
     "warp_kernels": {"errors"},
     "scenario": {"errors", "settings"},
     "terrain": {"errors", "settings", "scenario", "warp_kernels"},
-    "recording": {"errors", "settings", "warp_kernels"},
+    "recording": {"errors", "settings", "ranks", "warp_kernels"},
     "agents": GROUND,
     "flocking": GROUND,
     "export": GROUND,
     "simulation": GROUND | MIDDLE,
     "runs": GROUND | MIDDLE | {"simulation"},
+    "sweeping": GROUND | MIDDLE | {"simulation"},
     "benchmarks": GROUND | MIDDLE | {"simulation"},
-    "cli": GROUND | MIDDLE | {"simulation", "runs", "benchmarks"},
+    "cli": GROUND | MIDDLE | {"simulation", "runs", "sweeping", "benchmarks"},
 }
 
 

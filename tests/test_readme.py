@@ -223,12 +223,18 @@ def test_tables_have_every_key_of_a_scenario() -> None:
     field = Scenario.load("border-collie").to_dict()
     road = Scenario.load("jogger", ["user.ahead=3", "peloton.tactics.attacks=1"]).to_dict()
     tables = {"scenario": field, "world.corral": field["world"]["corral"]}
+    pieces = Scenario.load(
+        "gap", ["world.walls=[{points = [[0, 40], [9, 40]]}]", "world.column_field={center = [60, 0]}"]
+    )
+    world = pieces.to_dict()["world"]
+    tables |= {f"world.{name}": world[name] for name in ("gap", "column_field")} | {"world.walls": world["walls"][0]}
     tables |= {"peloton.tactics": road["peloton"]["tactics"], "obstacles": road["obstacles"][0], "user": road["user"]}
     tables |= {name: value for name, value in field.items() if isinstance(value, dict)}
     assert set(tables) == set(module.TABLES)
+    lists = ("obstacles", "walls")  # of tables
     for name, data in tables.items():
         keys = re.findall(r"^\| `(\w+)` \|", module.table(module.TABLES[name]), flags=re.M)
-        assert keys == [key for key, value in data.items() if not isinstance(value, dict) and key != "obstacles"], name
+        assert keys == [key for key, value in data.items() if not isinstance(value, dict) and key not in lists], name
 
 
 def test_figures_of_the_engine_are_those_of_the_benchmark() -> None:

@@ -53,7 +53,11 @@ MALFORMED: list[tuple[str, str | bytes, str]] = [
     # roads
     ("road without a course", '[world]\nground = "road"\n[crowd]\ncharacter = "cyclist"', "must name a course"),
     ("course without a road", '[world]\ncourse = "city-race"', "needs world.ground = 'road'"),
-    ("rider on a field", '[crowd]\ncharacter = "cyclist"', "must be 'road' for a cyclist"),
+    (
+        "rider at rest on a field",
+        '[crowd]\ncharacter = "cyclist"',
+        "crowd.start_velocity = [0.0, 0.0]: must be at least 2 m/s for a cyclist",
+    ),
     ("hopper on a road", '[world]\nground = "road"\ncourse = "city-race"', "must be one of cyclist"),
     ("corral on a road", ROAD + "[world.corral]\nsize = 12", "must be left out"),
     ("collie on a road", ROAD + "[collie]\nmax_speed = 3", "must be left out on a road"),

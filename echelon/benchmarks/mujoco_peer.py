@@ -86,7 +86,7 @@ class Coupling:
     ratio: float
 
 
-def peer_model(
+def peer_spec(
     model: Model,
     *,
     springs: Mapping[str, Sequence[JointSpring]] | None = None,
@@ -97,8 +97,8 @@ def peer_model(
     step: float = 1.0 / 1200.0,
     integrator: str = "euler",
     energy: bool = False,
-) -> mujoco.MjModel:
-    """Compile a body for MuJoCo.
+) -> mujoco.MjSpec:
+    """Describe a body to MuJoCo; `peer_model` compiles what comes back, and it can be written as XML for others.
 
     Where nothing is asked for that needs them, MuJoCo's constraints are switched off altogether, which is faster. Its
     solver is its default, Newton's method with pyramidal friction cones and a dense Jacobian.
@@ -155,7 +155,12 @@ def peer_model(
         equality.name1, equality.name2 = f"{coupling.driven} 0", f"{coupling.driving} 0"
         # A polynomial, lowest order first.
         equality.data[:5] = [0.0, coupling.ratio, 0.0, 0.0, 0.0]
-    return spec.compile()
+    return spec
+
+
+def peer_model(model: Model, **options: Any) -> mujoco.MjModel:
+    """A body compiled for MuJoCo; options as `peer_spec` takes them."""
+    return peer_spec(model, **options).compile()
 
 
 def _switched_off(*flags: str) -> int:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import mujoco
@@ -62,31 +63,47 @@ def start_peer(character: Character, step: float, integrator: str) -> PeerRun:
     return StandingPeer(character.body, step, integrator)
 
 
+def standing_springs() -> dict[str, tuple[JointSpring, ...]]:
+    """Springs and dampers of a hopper that stands, by name of the joint."""
+    hip = JointSpring(hopper.TILT_STIFFNESS, hopper.TILT_DAMPING)
+    twist = JointSpring(hopper.YAW_STIFFNESS, hopper.YAW_DAMPING)
+    return {"hip": (hip, hip, twist), "leg": (JointSpring(hopper.LEG_STIFFNESS, hopper.LEG_DAMPING),)}
+
+
+def spring_stiffness(body: Body, springs: Mapping[str, Sequence[JointSpring]]) -> np.ndarray:
+    """Of every coordinate's spring about zero [N m/rad or N/m], shape [q_count]."""
+    stiffness = np.zeros(body.q_count)
+    for index, link in enumerate(body.links):
+        for axis, spring in enumerate(springs.get(link.joint.name, ())):
+            stiffness[body.q_start(index) + axis] = spring.stiffness
+    return stiffness
+
+
+def standing_pose(body: Body, height: float = 0.0) -> np.ndarray:
+    """Upright but for a small tilt, the foot so high above the floor [m]; shape [q_count]."""
+    q = body.q_reference
+    q[2] += height
+    q[3:7] = [np.sin(0.5 * STANDING_TILT), 0.0, 0.0, np.cos(0.5 * STANDING_TILT)]
+    return q
+
+
 class StandingPeer:
     """The hopper's body on its foot: leg spring and hip springs on, the foot on the floor, set down again and again."""
 
     def __init__(self, body: Body, step: float, integrator: str) -> None:
         self.step, self.integrator = step, integrator
         self.contacts = sum(site.surface == "ground" for site in body.contacts)
-        hip = JointSpring(hopper.TILT_STIFFNESS, hopper.TILT_DAMPING)
-        twist = JointSpring(hopper.YAW_STIFFNESS, hopper.YAW_DAMPING)
-        springs = {"hip": (hip, hip, twist), "leg": (JointSpring(hopper.LEG_STIFFNESS, hopper.LEG_DAMPING),)}
+        springs = standing_springs()
         self._body = body
         self._model = peer_model(body, springs=springs, floor=True, step=step, integrator=integrator)
         self._data = mujoco.MjData(self._model)
         self._order = CoordinateOrder.of(body, self._model)
-        self._stiffness = np.zeros(body.q_count)
-        for index, link in enumerate(body.links):
-            for axis, spring in enumerate(springs.get(link.joint.name, ())):
-                self._stiffness[body.q_start(index) + axis] = spring.stiffness
+        self._stiffness = spring_stiffness(body, springs)
 
     def _set_down(self, height: float) -> None:
         """Upright but for a small tilt, at rest, the foot this high above the floor [m]."""
         mujoco.mj_resetData(self._model, self._data)
-        q = self._body.q_reference
-        q[2] += height
-        q[3:7] = [np.sin(0.5 * STANDING_TILT), 0.0, 0.0, np.cos(0.5 * STANDING_TILT)]
-        self._order.write(self._data, q, np.zeros(self._body.u_count))
+        self._order.write(self._data, standing_pose(self._body, height), np.zeros(self._body.u_count))
 
     def round(self) -> float:
         steps, seconds = max(round(STANDING_TIME / self.step), 1), 0.0

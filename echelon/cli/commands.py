@@ -8,8 +8,12 @@ What a command needs is imported when the command runs, so that `echelon --help`
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
+import time
+import traceback
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,15 +21,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from echelon.cli.course import app as course_app
+from echelon.cli.groups import Seeds, bench_groups
 from echelon.cli.progress import Progress, Reporter, size
 from echelon.cli.registering import Json, Quiet, command
 from echelon.cli.running import Failure, announce, check_products, only_json, run_and_report, shot_options
+from echelon.cli.scaling import Most, Only, OutFolder, ThreadCounts, bench_scaling, refuse_options
+from echelon.cli.sweep import EXAMPLES as SWEEP_EXAMPLES
+from echelon.cli.sweep import sweep
 from echelon.errors import InputError
+from echelon.launcher import launched_rank, launched_ranks
 
 if TYPE_CHECKING:
     from echelon.recording import Recording
+    from echelon.simulation import RunCost
 
 DONE, FAILED, WRONG_INPUT = 0, 1, 2
+OTHERS_WAIT = 2.0  # [s]; so long ranks but the first keep back what they complain of
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]  # click's, or that of the copy that typer carries
 
@@ -42,31 +53,58 @@ app = typer.Typer(
 
 def main() -> None:
     """Entry point of the command."""
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:]) if launched_ranks() == 1 else _run_on_ranks(sys.argv[1:])
+    sys.exit(code)
 
 
-def run(arguments: list[str]) -> int:
+def _run_on_ranks(arguments: list[str]) -> int:
+    """Run the command on several ranks: where one fails, it says why and ends all, which would wait for it for ever."""
+    rank = launched_rank()
+
+    def complain(message: str, code: int) -> int:
+        # What is wrong with the input all find at once: the first says so, and ends the others meanwhile.
+        time.sleep(OTHERS_WAIT if rank else 0.0)
+        return _complain(f"rank {rank}: {message}" if rank else message, code)
+
+    try:
+        code = run(arguments, complain)
+    except Exception as error:
+        traceback.print_exc()
+        code = complain(f"{type(error).__name__}: {error}; all ranks stop", FAILED)
+    if code != DONE:
+        from echelon.ranks import Ranks
+
+        sys.stderr.flush()
+        with contextlib.suppress(InputError):  # without mpi4py the launcher ends the others when this one leaves
+            Ranks.launched().abort(code)
+    return code
+
+
+def run(arguments: list[str], complain: Callable[[str, int], int] | None = None) -> int:
     """Run the command; returns its exit code.
 
     Args:
         arguments: As on the command line, the command's own name left out.
+        complain: Takes the line that says what went wrong, and the exit code, and returns that; by default it prints
+            on standard error.
     """
+    complain = complain or _complain
     try:
         code = app(args=arguments, prog_name="echelon", standalone_mode=False)
         return code if isinstance(code, int) else DONE
     except InputError as error:
-        return _complain(str(error), WRONG_INPUT)
+        return complain(str(error), WRONG_INPUT)
     except _UsageError as error:
         message = str(getattr(error, "format_message", error.__str__)()).rstrip(".")
         path = getattr(getattr(error, "ctx", None), "command_path", "echelon")
-        return _complain(f"{message}; try '{path} --help'", WRONG_INPUT)
+        return complain(f"{message}; try '{path} --help'", WRONG_INPUT)
     except Failure as error:
-        return _complain(str(error), FAILED)
+        return complain(str(error), FAILED)
     except OSError as error:
         name = f"{error.filename}: " if error.filename else ""
-        return _complain(f"{name}{error.strerror or error}", FAILED)
+        return complain(f"{name}{error.strerror or error}", FAILED)
     except MemoryError:
-        return _complain("out of memory", FAILED)
+        return complain("out of memory", FAILED)
 
 
 def _complain(message: str, code: int) -> int:
@@ -119,6 +157,8 @@ class Study(StrEnum):
     ENGINE = "engine"
     BICYCLE = "bicycle"
     TERRAIN = "terrain"
+    SCALING = "scaling"
+    GROUPS = "groups"
 
 
 RepresentationOption = Annotated[
@@ -167,23 +207,26 @@ def simulate(
     The stage and the film are made if asked for. The recording is written as the run goes on: killed at any moment,
     it is gone on with by `echelon resume`.
     """
+    from echelon.ranks import Ranks
     from echelon.scenario import Scenario
 
     overrides = list(settings or ())
     for key, value in (("crowd.count", agents), ("seconds", seconds), ("seed", seed), ("world.course", course)):
         overrides += [f"{key}={value}"] if value is not None else []
     plan = Scenario.load(scenario, overrides)
+    ranks = Ranks.launched()
     folder = recording or (out.with_suffix(".recording") if out is not None else Path(f"{plan.name}.recording"))
-    reporter = Reporter(quiet or as_json)
-    check_products(out, film)
-    announce(reporter, plan, folder)
+    reporter = Reporter(quiet or as_json or not ranks.is_first)
+    if ranks.is_first:
+        check_products(out, film)
+        announce(reporter, plan, folder)
 
-    def work(progress: Progress) -> Recording:
+    def work(progress: Progress, cost: RunCost) -> Recording:
         from echelon.simulation import simulate
 
-        return simulate(plan, recording=folder, threads=threads, progress=progress)
+        return simulate(plan, recording=folder, threads=threads, progress=progress, ranks=ranks, cost=cost)
 
-    run_and_report(reporter, work, folder, plan, out, film, representation.value, as_json)
+    run_and_report(reporter, work, ranks, folder, plan, out, film, representation.value, as_json)
 
 
 @command(app, "resume", "  echelon resume herd.recording --out herd.usd")
@@ -200,6 +243,7 @@ def resume(
 
     It ends with the same bytes as if it had not been.
     """
+    from echelon.ranks import Ranks
     from echelon.recording import Recording
     from echelon.scenario import Scenario
 
@@ -207,16 +251,21 @@ def resume(
     if opened.status == "done":
         raise InputError(f"{recording}: this recording is finished ({opened.frame_count} frames); nothing to resume")
     plan = Scenario.from_dict(opened.scenario, source=str(recording))
-    reporter = Reporter(quiet or as_json)
-    check_products(out, film)
+    ranks = Ranks.launched()
+    reporter = Reporter(quiet or as_json or not ranks.is_first)
+    if ranks.is_first:
+        check_products(out, film)
     reporter.say(f"{plan.name}: going on after {opened.frame_count} frames of at most {plan.step_count + 1}")
 
-    def work(progress: Progress) -> Recording:
+    def work(progress: Progress, cost: RunCost) -> Recording:
         from echelon.simulation import resume
 
-        return resume(recording, threads=threads, progress=progress)
+        return resume(recording, threads=threads, progress=progress, ranks=ranks, cost=cost)
 
-    run_and_report(reporter, work, recording, plan, out, film, representation.value, as_json)
+    run_and_report(reporter, work, ranks, recording, plan, out, film, representation.value, as_json)
+
+
+command(app, "sweep", SWEEP_EXAMPLES)(sweep)
 
 
 # ---- what is made of a recording -----------------------------------------------------------------------------------
@@ -354,20 +403,43 @@ def plot(
 
 
 # ---- bench, list, describe -----------------------------------------------------------------------------------------
-@command(app, "bench", "  echelon bench engine\n  echelon bench engine --json > engine.json\n  echelon bench bicycle")
+@command(
+    app,
+    "bench",
+    "  echelon bench engine\n  echelon bench engine --json > engine.json\n  echelon bench bicycle\n"
+    "  echelon bench scaling --only hoppers --most 1000 --out scaling\n"
+    "  echelon bench groups --only hopper-105 --only gap --seeds 3",
+)
 def bench(
     study: Annotated[
         Study,
         typer.Argument(
             help="engine: how fast bodies are simulated, beside MuJoCo; "
             "bicycle: whether one balances itself at the speeds at which it should; "
-            "terrain: how fast the ground can be asked for its height."
+            "terrain: how fast the ground can be asked for its height; "
+            "scaling: what a frame costs as crowds grow; "
+            "groups: how well they hold together, turn, and pass obstacles."
         ),
     ],
+    out: OutFolder = None,
+    only: Only = None,
+    most: Most = None,
+    threads: ThreadCounts = None,
+    seeds: Seeds = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON array, and nothing else.")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure how fast Echelon is on this machine, or how true."""
+    reporter = Reporter(quiet or as_json)
+    if study is Study.SCALING:
+        refuse_options(study, {"seeds": seeds})
+        bench_scaling(reporter, as_json, out, only, most, threads)
+        return
+    if study is Study.GROUPS:
+        refuse_options(study, {"most": most, "threads": threads})
+        bench_groups(reporter, as_json, out, only, seeds)
+        return
+    refuse_options(study, {"out": out, "only": only, "most": most, "threads": threads, "seeds": seeds})
     if study is Study.BICYCLE:
         from echelon.benchmarks.bicycle import print_table
         from echelon.benchmarks.bicycle import run_bicycle_benchmark as run_benchmark
@@ -378,7 +450,6 @@ def bench(
         from echelon.benchmarks.engine import print_table
         from echelon.benchmarks.engine import run_engine_benchmark as run_benchmark
 
-    reporter = Reporter(quiet or as_json)
     with only_json(as_json), reporter.progress(f"bench {study}", "measurements") as progress:
         rows = run_benchmark(progress=progress)
     if as_json:

@@ -16,8 +16,10 @@ from echelon.cli.progress import Progress, Reporter, duration, size
 from echelon.errors import InputError
 
 if TYPE_CHECKING:
+    from echelon.ranks import Ranks
     from echelon.recording import Recording
     from echelon.scenario import Scenario
+    from echelon.simulation import RunCost
 
 RepresentationName = Literal["rig", "skel", "points"]
 
@@ -74,7 +76,8 @@ def _expected_seconds(plan: Scenario) -> float:
 
 def run_and_report(
     reporter: Reporter,
-    work: Callable[[Progress], Recording],
+    work: Callable[[Progress, RunCost], Recording],
+    ranks: Ranks,
     folder: Path,
     plan: Scenario,
     out: Path | None,
@@ -82,17 +85,21 @@ def run_and_report(
     representation: RepresentationName,
     as_json: bool,
 ) -> None:
-    """Run, write what was asked for, report."""
-    clock = _LoopClock()
+    """Run, write what was asked for, report; the first of several ranks does all but the first of these."""
+    from echelon.simulation import RunCost
+
+    clock, cost = _LoopClock(), RunCost()
     with only_json(as_json):
         with _resumable(folder), reporter.progress(plan.name, "frames", plan.frame_rate) as progress:
-            recording = work(clock.watched(progress))
+            recording = work(clock.watched(progress), cost)
         clock.stop()
+        if not ranks.is_first:
+            return
         if out is not None:
             _write_stage(reporter, recording, out, representation)
         unfilmed = _film_shot(reporter, recording, film) if film is not None else ""
     made = {"recording": folder, "stage": out, "film": None if unfilmed else film}
-    report = _report(recording, clock, made)
+    report = _report(recording, clock, cost, made)
     if as_json:
         print(json.dumps(report))
     elif not reporter.quiet:
@@ -167,7 +174,7 @@ class _LoopClock:
         return self.ended - (self.first or self.begun)
 
 
-def _report(recording: Recording, clock: _LoopClock, made: dict[str, Path | None]) -> dict[str, Any]:
+def _report(recording: Recording, clock: _LoopClock, cost: RunCost, made: dict[str, Path | None]) -> dict[str, Any]:
     """What a run reports; the times are of this run of the command, all else is in the recording."""
     summary = recording.summary
     simulated = (recording.frame_count - clock.frames_before) / recording.frame_rate
@@ -179,6 +186,7 @@ def _report(recording: Recording, clock: _LoopClock, made: dict[str, Path | None
         "wall_seconds": round(clock.wall_seconds, 4),
         "startup_seconds": round(clock.startup_seconds, 4),
         "real_time_factor": round(simulated / max(clock.wall_seconds, 1e-9), 2),
+        **cost.as_dict(),
     }
     return report | {name: None if path is None else str(path) for name, path in made.items()}
 
@@ -187,6 +195,7 @@ def _report_text(report: dict[str, Any]) -> str:
     took = f"{duration(report['wall_seconds'])}, {report['real_time_factor']:.3g} x real time"
     lines = [f"{report['scenario']}: {report['agents']} agents, {report['seconds']:g} s simulated in {took}"]
     hidden = ("scenario", "agents", "seconds", "wall_seconds", "startup_seconds", "real_time_factor", "riders", "user")
+    hidden += ("phase_seconds",)
     hidden += ("in_corral",) if "riders" in report else ()
     shown = {key: value for key, value in report.items() if key not in hidden and value is not None}
     width = max(len(key) for key in shown)
