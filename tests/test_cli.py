@@ -146,6 +146,11 @@ def test_help_is_there_at_once() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+def test_python_runs_the_package() -> None:
+    done = subprocess.run([sys.executable, "-m", "echelon", "--version"], capture_output=True, text=True, check=True)
+    assert re.fullmatch(r"echelon \d+\.\d+\.\d+\S*\n", done.stdout)
+
+
 def test_version(said: Said) -> None:
     assert cli.run(["--version"]) == 0
     assert re.fullmatch(r"echelon \d+\.\d+\.\d+\S*\n", said()[0])

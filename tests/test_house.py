@@ -29,6 +29,7 @@ ALLOWED: dict[str, set[str]] = {
     "runs": GROUND | MIDDLE | {"simulation"},
     "sweeping": GROUND | MIDDLE | {"simulation"},
     "benchmarks": GROUND | MIDDLE | {"simulation"},
+    "__main__": {"cli"},
     "cli": GROUND | MIDDLE | {"simulation", "runs", "sweeping", "benchmarks"},
 }
 
