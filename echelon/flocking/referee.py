@@ -243,7 +243,7 @@ class Referee:
             inputs = [self._enough, frame, table, a.last_frame, a.totals]
             wp.launch(end_count, self._agent_count, inputs, [a.previous], device=device)
 
-        return [[begin], share.everybody(look), [end]]
+        return [[begin], share.everybody(look, least=1), [end]]
 
     def totals(self) -> dict[str, int]:
         """The totals by name; waits for the device."""

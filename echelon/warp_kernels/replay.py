@@ -22,6 +22,9 @@ import warp as wp
 GRAPH_LIMIT = 8
 """Sets of arrays that `Replay` keeps graphs for."""
 
+LIGHT_SLICE = 4_000
+"""Agents that are worth a thread of their own where there is little to do for each, such as entering a hash grid."""
+
 Phase = Sequence[Callable[[], None]]
 """What launches each slice of a phase."""
 
@@ -103,9 +106,18 @@ class Share:
             works[0] = partial(launch_all, [works[0], partial(launch, self.crowd, self.beyond)])
         return works
 
-    def everybody(self, launch: Callable[[int, int], None], multiple: int = 1) -> list[Callable[[], None]]:
-        """What launches (first, count) of each slice of everybody, each a multiple of some number but the last."""
-        parts = slices(self.crowd + self.beyond, self.team.size, multiple=multiple)
+    def everybody(
+        self, launch: Callable[[int, int], None], multiple: int = 1, least: int = LIGHT_SLICE
+    ) -> list[Callable[[], None]]:
+        """What launches (first, count) of each slice of everybody.
+
+        Args:
+            launch: Launches one.
+            multiple: Each slice but the last is a multiple of this number.
+            least: A slice has so many agents at least, if there are several: waking a thread takes time, too.
+        """
+        count = self.crowd + self.beyond
+        parts = slices(count, min(self.team.size, count // least), multiple=multiple)
         return [partial(launch, *part) for part in parts]
 
     def owns(self, agent: int) -> bool:
