@@ -41,6 +41,24 @@ class Capsule:
     radius: float
 
 
+@dataclass(frozen=True)
+class AgentState:
+    """The state of an agent as scalars of any kind.
+
+    Attributes:
+        q, u: Generalised positions and speeds.
+        strains: Of each contact site (see `contact`).
+        memory: The controller's variables by name.
+        substep: Substep of the frame, from 0.
+    """
+
+    q: list[Any]
+    u: list[Any]
+    strains: list[list[Any]]
+    memory: dict[str, Any]
+    substep: Any
+
+
 @dataclass
 class View:
     """One agent as its controller sees it.

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from echelon.warp_kernels.character import AgentState
 from echelon.warp_kernels.emit import Target, statements
 from echelon.warp_kernels.meeting import (
     CONTACT_TIME,
@@ -38,9 +39,6 @@ from echelon.warp_kernels.meeting import (
 )
 from echelon.warp_kernels.spatial import Vector, add
 from echelon.warp_kernels.trace import Graph, select
-
-if TYPE_CHECKING:
-    from echelon.warp_kernels.program import AgentState
 
 DUE_SIZE = 3
 """Numbers of what an agent is due: an impulse along the world's axes [N s]."""

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from echelon.warp_kernels import articulated
-from echelon.warp_kernels.character import View
+from echelon.warp_kernels.character import AgentState, View
 from echelon.warp_kernels.native import NativeFunction
-from echelon.warp_kernels.program import AgentState, evaluate_substep
+from echelon.warp_kernels.program import evaluate_substep
 from echelon.warp_kernels.reference_run import Divergence, ReferenceRun, diverging_probe
 from echelon.warp_kernels.trace import MASK_OPS, Expr, Probe, record_probes, select
 

@@ -33,7 +33,7 @@ from typing import Any, Literal
 import warp as wp
 
 from echelon.warp_kernels import articulated
-from echelon.warp_kernels.character import LOST, NO_EVENT, Character, StateLayout, View
+from echelon.warp_kernels.character import LOST, NO_EVENT, AgentState, Character, StateLayout, View
 from echelon.warp_kernels.contact import Contact, JointForces, contact, spring_forces, strain_count
 from echelon.warp_kernels.emit import Target, operation_count, statements
 from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions, wrapped_positions
@@ -57,24 +57,6 @@ POSE_SIZE = 7
 FASTEST, LARGEST_FLOAT = 3.4e4, 3.4e38
 """An agent any of whose speeds is greater [m/s, rad/s] counts as one whose state is not finite."""
 SEEN_EXTRA = 6  # after the poses: velocity of the first link's origin and its angular velocity, world axes
-
-
-@dataclass(frozen=True)
-class AgentState:
-    """The state of an agent as scalars of any kind.
-
-    Attributes:
-        q, u: Generalised positions and speeds.
-        strains: Of each contact site (see `contact`).
-        memory: The controller's variables by name.
-        substep: Substep of the frame, from 0.
-    """
-
-    q: list[Any]
-    u: list[Any]
-    strains: list[list[Any]]
-    memory: dict[str, Any]
-    substep: Any
 
 
 @dataclass(frozen=True)

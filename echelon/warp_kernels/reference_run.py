@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from echelon.warp_kernels import articulated
-from echelon.warp_kernels.character import NO_EVENT, Character, View
+from echelon.warp_kernels.character import NO_EVENT, AgentState, Character, View
 from echelon.warp_kernels.contact import strain_count
 from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions, wrapped_positions
 from echelon.warp_kernels.meeting import Bumper, Law
 from echelon.warp_kernels.meeting_code import meet
-from echelon.warp_kernels.program import AgentState, Integrator, SubstepResult, evaluate_substep
+from echelon.warp_kernels.program import Integrator, SubstepResult, evaluate_substep
 from echelon.warp_kernels.spatial import quaternion_normalized
 from echelon.warp_kernels.trace import Probe, record_probes
 
