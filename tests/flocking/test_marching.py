@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import warp as wp
 
 from echelon.errors import InputError
-from echelon.flocking import marching as marching_kernels
 from echelon.scenario import Scenario
 from echelon.simulation.loop import Simulation
 from echelon.simulation.scene import SceneFrames
@@ -111,12 +108,3 @@ def test_threads_change_no_bit(name: str) -> None:
         hashes.add(simulation.state_hash())
         simulation.close()
     assert len(hashes) == 1
-
-
-def test_the_kernels_compile_for_cuda(tmp_path: Path) -> None:
-    try:
-        wp.compile_aot_module(marching_kernels, arch=80, module_dir=tmp_path, use_ptx=True)
-    except Exception as error:
-        pytest.skip(f"this Warp cannot compile for CUDA: {' '.join(str(error).split())[:120]}")
-    (ptx,) = tmp_path.glob("*.ptx")
-    assert "follow_march" in ptx.read_text()
