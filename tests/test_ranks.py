@@ -122,10 +122,15 @@ def test_a_rank_that_dies_stops_all_and_another_number_goes_on(
 
 
 @needs_mpi
-def test_wrong_input_is_said_once(tmp_path: Path) -> None:
-    done = launch(2, "simulate", "herd", "--agents", "1", "--recording", str(tmp_path / "ranks.recording"))
+@pytest.mark.parametrize(
+    ("agents", "complaint"),
+    [("1", "crowd.count = 1: must be at least the number of ranks, 2"), ("2000", "across a fence")],
+)
+def test_wrong_input_is_said_once(agents: str, complaint: str, tmp_path: Path) -> None:
+    done = launch(2, "simulate", "herd", "--agents", agents, "--recording", str(tmp_path / "ranks.recording"))
     assert done.returncode == 2
-    assert done.stderr.count("crowd.count = 1: must be at least the number of ranks, 2") == 1
+    assert done.stderr.count(complaint) == 1
+    assert not (tmp_path / "ranks.recording").exists()
 
 
 def test_without_mpi4py_it_is_said_what_to_install(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ What a command needs is imported when the command runs, so that `echelon --help`
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sys
 import time
@@ -32,6 +31,7 @@ from echelon.errors import InputError
 from echelon.launcher import launched_rank, launched_ranks
 
 if TYPE_CHECKING:
+    from echelon.ranks import Ranks
     from echelon.recording import Recording
     from echelon.simulation import RunCost
 
@@ -62,8 +62,11 @@ def _run_on_ranks(arguments: list[str]) -> int:
     rank = launched_rank()
 
     def complain(message: str, code: int) -> int:
-        # What is wrong with the input all find at once: the first says so, and ends the others meanwhile.
-        time.sleep(OTHERS_WAIT if rank else 0.0)
+        # What is wrong with the input all find at once: the first says so, and ends the others meanwhile, which it can
+        # as soon as all have come to MPI.
+        if rank:
+            _all_ranks()
+            time.sleep(OTHERS_WAIT)
         return _complain(f"rank {rank}: {message}" if rank else message, code)
 
     try:
@@ -72,12 +75,21 @@ def _run_on_ranks(arguments: list[str]) -> int:
         traceback.print_exc()
         code = complain(f"{type(error).__name__}: {error}; all ranks stop", FAILED)
     if code != DONE:
-        from echelon.ranks import Ranks
-
         sys.stderr.flush()
-        with contextlib.suppress(InputError):  # without mpi4py the launcher ends the others when this one leaves
-            Ranks.launched().abort(code)
+        ranks = _all_ranks()
+        if ranks is not None:
+            ranks.abort(code)
     return code
+
+
+def _all_ranks() -> Ranks | None:
+    """All that were launched; None without mpi4py, where the launcher ends the others when one leaves."""
+    from echelon.ranks import Ranks
+
+    try:
+        return Ranks.launched()
+    except InputError:
+        return None
 
 
 def run(arguments: list[str], complain: Callable[[str, int], int] | None = None) -> int:
