@@ -44,6 +44,7 @@ def stand_in(
     recording: Path,
     threads: int | None,
     progress: Any,
+    device: str = "cpu",
     ranks: Ranks | None = None,
     cost: RunCost | None = None,
     stop: Any = None,
@@ -144,6 +145,13 @@ def test_help_is_there_at_once() -> None:
     code = f"import sys; from echelon.cli import run; run(['--help']); print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_device_that_is_not_there(tmp_path: Path, said: Said) -> None:
+    folder = tmp_path / "herd.recording"
+    assert cli.run(["simulate", "herd", "--device", "cuda:99", "--recording", str(folder)]) == 2
+    assert re.fullmatch(r"echelon: device 'cuda:99': not on this machine; must be one of cpu.*\n", said()[1])
+    assert not folder.exists()
 
 
 def test_python_runs_the_package() -> None:
@@ -365,7 +373,10 @@ def test_resume(engine: ModuleType, here: Path, said: Said) -> None:
     with pytest.raises(KeyboardInterrupt):
         stand_in(scenario, recording=here / "run", threads=None, progress=lambda *_: None, stop=interrupt)
 
-    def going_on(path: Path, *, threads: int | None, progress: Any, ranks: Ranks, cost: RunCost) -> Recording:
+    def going_on(
+        path: Path, *, threads: int | None, progress: Any, device: str, ranks: Ranks, cost: RunCost
+    ) -> Recording:
+        assert device == "cpu"
         return stand_in(scenario, recording=path, threads=threads, progress=progress, ranks=ranks, cost=cost)
 
     engine.resume = going_on  # type: ignore[attr-defined]

@@ -163,6 +163,11 @@ class Camera(StrEnum):
     HELICOPTER = "helicopter"
 
 
+Device = Annotated[
+    str, typer.Option(metavar="DEVICE", help="Where to compute: cpu, cuda (the first GPU there is) or cuda:N.")
+]
+
+
 class Study(StrEnum):
     """What can be measured."""
 
@@ -200,6 +205,7 @@ def simulate(
         typer.Option(metavar="COURSE", help="Ride on this course: a name, a .toml file, or a GPS track (.gpx)."),
     ] = None,
     threads: Threads = None,
+    device: Device = "cpu",
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Override any key of the scenario; repeatable."),
@@ -226,6 +232,10 @@ def simulate(
     for key, value in (("crowd.count", agents), ("seconds", seconds), ("seed", seed), ("world.course", course)):
         overrides += [f"{key}={value}"] if value is not None else []
     plan = Scenario.load(scenario, overrides)
+    if device != "cpu":
+        from echelon.warp_kernels.start import checked_device
+
+        device = checked_device(device)
     ranks = Ranks.launched()
     folder = recording or (out.with_suffix(".recording") if out is not None else Path(f"{plan.name}.recording"))
     reporter = Reporter(quiet or as_json or not ranks.is_first)
@@ -236,7 +246,9 @@ def simulate(
     def work(progress: Progress, cost: RunCost) -> Recording:
         from echelon.simulation import simulate
 
-        return simulate(plan, recording=folder, threads=threads, progress=progress, ranks=ranks, cost=cost)
+        return simulate(
+            plan, recording=folder, threads=threads, progress=progress, device=device, ranks=ranks, cost=cost
+        )
 
     run_and_report(reporter, work, ranks, folder, plan, out, film, representation.value, as_json)
 
@@ -245,6 +257,7 @@ def simulate(
 def resume(
     recording: RecordingFolder,
     threads: Threads = None,
+    device: Device = "cpu",
     out: Stage = None,
     film: Film = None,
     representation: RepresentationOption = Representation.RIG,
@@ -272,7 +285,7 @@ def resume(
     def work(progress: Progress, cost: RunCost) -> Recording:
         from echelon.simulation import resume
 
-        return resume(recording, threads=threads, progress=progress, ranks=ranks, cost=cost)
+        return resume(recording, threads=threads, progress=progress, device=device, ranks=ranks, cost=cost)
 
     run_and_report(reporter, work, ranks, recording, plan, out, film, representation.value, as_json)
 

@@ -40,7 +40,7 @@ from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.frame import ChunkArrays, Engine
 from echelon.warp_kernels.meetings import ContactSettings
 from echelon.warp_kernels.replay import Share
-from echelon.warp_kernels.start import start_warp
+from echelon.warp_kernels.start import checked_device
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames at most)."""
@@ -80,14 +80,15 @@ class Simulation:
         Args:
             scenario: What to run.
             threads: On a CPU; 0 decides by the work there is; None leaves it to the scenario.
-            device: A Warp device, "cpu" or "cuda:0".
+            device: A Warp device, "cpu", "cuda" or "cuda:1".
             world: That of the recording to go on with; None makes it anew.
             ranks: Who simulate the crowd together; None for this process alone.
 
         Raises:
-            InputError: There are more ranks than agents, or the scenario asks for what is not there.
+            InputError: There are more ranks than agents, or the scenario asks for what is not there, or there is no
+                such device.
         """
-        start_warp()
+        device = checked_device(device)
         self.ranks = ranks or Ranks()
         self.ranks.check(scenario.crowd.count)
         first, count = self.ranks.part(scenario.crowd.count)

@@ -9,6 +9,8 @@ from functools import lru_cache
 
 import warp as wp
 
+from echelon.errors import InputError
+
 _EXPECTED = b"Could not find or load the NVIDIA CUDA driver"
 """What Warp's native library prints on every machine without a GPU, whatever its log level."""
 
@@ -37,3 +39,17 @@ def start_warp() -> None:
             os.close(kept)
             said.seek(0)
             os.write(2, b"".join(line for line in said if _EXPECTED not in line))
+
+
+def checked_device(name: str) -> str:
+    """The full name of a Warp device, "cpu" or "cuda:0" and so on, by that or a shorter one.
+
+    Raises:
+        InputError: There is none of this name.
+    """
+    start_warp()
+    known = [device.alias for device in wp.get_devices()]
+    found = next((alias for alias in known if alias == name or (name == "cuda" and alias.startswith("cuda"))), None)
+    if found is None:
+        raise InputError(f"device {name!r}: not on this machine; must be one of {', '.join(known)}")
+    return found
