@@ -30,6 +30,7 @@ from typing import Any
 
 import numpy as np
 
+from echelon.agents.wall_bumper import wall_bumper
 from echelon.warp_kernels.character import NO_EVENT, Capsule, Population, View
 from echelon.warp_kernels.contact import JointForces
 from echelon.warp_kernels.model import ContactSite, Joint, Link, Matrix3, Model, Visual
@@ -185,19 +186,7 @@ def hopper_model() -> Model:
                 integration="explicit",
                 use="rare",
             ),
-            ContactSite(
-                BUMPER,
-                "body",
-                (0.0, 0.0, 0.0),
-                radii=(COLLISION_RADIUS, COLLISION_RADIUS, COLLISION_RADIUS),
-                surface="wall",
-                stiffness=8_000.0,
-                damping=300.0,
-                tangential_stiffness=0.0,
-                friction=0.2,
-                integration="explicit",
-                use="rare",
-            ),
+            wall_bumper(BUMPER, "body", COLLISION_RADIUS),
         ),
     )
 

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from echelon.agents.wall_bumper import wall_bumper
 from echelon.warp_kernels.character import Capsule, Population, View
 from echelon.warp_kernels.contact import JointForces
 from echelon.warp_kernels.model import ContactSite, Joint, Link, Model, Visual
@@ -63,19 +64,7 @@ def point_mass_model() -> Model:
                 friction=0.0,
                 integration="explicit",
             ),
-            ContactSite(
-                BUMPER,
-                "puck",
-                (0.0, 0.0, 0.0),
-                radii=(RADIUS, RADIUS, RADIUS),
-                surface="wall",
-                stiffness=8_000.0,
-                damping=300.0,
-                tangential_stiffness=0.0,
-                friction=0.2,
-                integration="explicit",
-                use="rare",
-            ),
+            wall_bumper(BUMPER, "puck", RADIUS),
         ),
     )
 

@@ -24,6 +24,7 @@ import json
 import sys
 import time
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -110,7 +111,7 @@ class Standing:
         return q, u
 
 
-class Peer:
+class Peer(ABC):
     """An engine, ready to be timed.
 
     Attributes:
@@ -124,13 +125,13 @@ class Peer:
     precision: str
     contacts: int = 2
 
+    @abstractmethod
     def run(self) -> float:
         """Set everybody down and simulate; how long one agent's step took [us]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def watched(self) -> tuple[np.ndarray, np.ndarray]:
         """The same of one agent, looked at after every step: q and u, shapes [steps + 1, ...]."""
-        raise NotImplementedError
 
     def verdict(self) -> Verdict:
         """Whether what is timed is sane."""
@@ -208,16 +209,17 @@ class CapturedPeer(Peer):
             self._advance()
         self._graph: Any = capture.graph
 
+    @abstractmethod
     def _set_down(self) -> None:
-        raise NotImplementedError
+        """Put everybody back to the start."""
 
+    @abstractmethod
     def _advance(self) -> None:
         """`graph_steps` steps."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _state(self) -> tuple[np.ndarray, np.ndarray]:
         """(q, u) of the first agent."""
-        raise NotImplementedError
 
     def run(self) -> float:
         self._set_down()
