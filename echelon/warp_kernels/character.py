@@ -76,6 +76,8 @@ class View:
         implicit_step: The same under semi-implicit Euler, 0 where forces must be plain (Runge-Kutta).
         springs: By name of a spring of the body, what its force is multiplied by; 1 for those that are not named.
             Assign while actuating: 0 lets go.
+        pushes: By name of a link, force [N] along the world's axes that acts at its centre of mass. Assign while
+            actuating.
     """
 
     q: Sequence[Any]
@@ -90,6 +92,7 @@ class View:
     implicit_step: float
     contacts: Mapping[str, Contact] = field(default_factory=dict)
     springs: dict[str, Any] = field(default_factory=dict)
+    pushes: dict[str, Sequence[Any]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

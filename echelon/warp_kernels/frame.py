@@ -24,12 +24,17 @@ from echelon.warp_kernels.emit import Target, host_lanes
 from echelon.warp_kernels.frame_kernel import compiled_program, frame_kernel, type_of
 from echelon.warp_kernels.meetings import ContactSettings, Meetings, NobodyMet
 from echelon.warp_kernels.program import PLANE_SIZE, POSE_SIZE, Integrator
-from echelon.warp_kernels.replay import Graphs, Team, slices
+from echelon.warp_kernels.replay import Graphs, Phase, Team, dealt
+from echelon.warp_kernels.scripts import NOT_BEGUN
 from echelon.warp_kernels.start import start_warp
 
 THREAD_WORK = 16_000_000
 """Agents times substeps times operations that are worth a thread, per frame: waking threads takes a third of a
 millisecond altogether."""
+
+
+LARGEST_ROW = 2**24
+"""Rows are counted in float32, exactly up to here."""
 
 
 class Terrain(Protocol):
@@ -225,6 +230,7 @@ class Engine:
         self.team = Team(self._worthwhile_threads(threads))
         self._graphs: Graphs | None = None
         # Slot of the chunk and number of ticks of the next frame: read by the kernel, so that launches never change.
+        self._scripts = wp.zeros((1, 1), dtype=wp.float32, device=device)
         self._clock = wp.zeros(2, dtype=wp.int32, device=device)
         self._clock_on_host = None if cuda else self._clock.numpy()
         self._chunk: ChunkArrays | None = None
@@ -280,6 +286,20 @@ class Engine:
         host = self.command.numpy()
         host[self.mine, self.character.commands.index(name)] = values
         self.command.assign(host)
+
+    def set_scripts(self, scripts: np.ndarray, which: np.ndarray) -> None:
+        """What characters with scripts do, before a chunk is bound; everybody begins at the first row of theirs.
+
+        Args:
+            scripts: Tables of equally many rows, shape [scripts, rows, row size] (see `scripts.ScriptLayout`).
+            which: Which of them each agent follows, shape [agents].
+        """
+        count, rows, size = scripts.shape
+        if count * rows > LARGEST_ROW:
+            raise ValueError(f"{count} scripts of {rows} rows: at most {LARGEST_ROW} rows can be told apart")
+        self._scripts = wp.array(scripts.reshape(count * rows, size), dtype=wp.float32, device=self.device)
+        self.set_memory("first_row", np.asarray(which) * rows)
+        self.set_memory("row", np.full(self.agent_count, NOT_BEGUN))
 
     def set_origins(self, origins: np.ndarray) -> None:
         """Floating origins in the world [m], float64, shape [agents, 3]."""
@@ -377,13 +397,13 @@ class Engine:
 
         def launch(first: int, count: int) -> None:
             inputs = [first, self.agent_count, self.first_agent, self.tick, self._clock, self.terrain.data]
-            inputs += [self._event_places, self.parameters, self.command, meetings.law, meetings.counts]
-            inputs += [meetings.indices]
+            inputs += [self._event_places, self.parameters, self.command, self._scripts]
+            inputs += [meetings.law, meetings.counts, meetings.indices]
             wp.launch(self._kernel, count, inputs=inputs, outputs=outputs, device=self.device, block_dim=64)
 
-        phases = [[partial(launch, *part) for part in slices(self.block_count, self.team.size)]]
+        phases: list[Phase] = [[partial(launch, *part) for part in dealt(self.block_count, self.team.size)]]
         if self.meetings is not None:
-            phases = self.meetings.phases(self.team.size, self.state, self.origins, self.velocities) + phases
+            phases = [*self.meetings.phases(self.team.size, self.state, self.origins, self.velocities), *phases]
         self._graphs = Graphs(phases, self.device)
 
     def advance(self, slot: int, *, observe_only: bool = False) -> None:

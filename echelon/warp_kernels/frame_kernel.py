@@ -4,7 +4,7 @@ A thread carries a *block* of as many agents as the target has lanes from one fr
 
     rebase        the floating origin moves to where the root is, exactly, in float64
     look up       ground and walls beneath and beside each contact site become local planes
-    tick x 8      control, then substeps with the state in registers
+    tick x 8      scripts, control, then substeps with the state in registers
     check         an agent whose state is no longer finite goes back to where it was, and stays there
     observe       link poses, velocities, phase, flags and events, into the frame's slot of a chunk
 
@@ -29,6 +29,7 @@ from echelon.warp_kernels.meeting import GHOST_MOTION, GHOSTS, PAIR_MEMORY, Bump
 from echelon.warp_kernels.meeting_code import DUE_SIZE, absent_ghost
 from echelon.warp_kernels.neighbours import NOBODY
 from echelon.warp_kernels.program import POSE_SIZE, Integrator, Program
+from echelon.warp_kernels.scripts import arrive_function
 
 SURFACES = {"ground": 0, "wall": 1}
 
@@ -96,6 +97,9 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
     pair_count = program.bumper.pair_count if program.bumper is not None else 1
     given_at = GHOST_MOTION - 3
     absent_numbers = wp.types.vector(length=ghost_numbers, dtype=wp.float32)(*absent)
+    script = getattr(program.character, "script", None)
+    scripted = script is not None
+    arrive = arrive_function(layout, script) if script is not None else _no_script
 
     @wp.func
     def keep_plane(
@@ -225,6 +229,7 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
         # who
         parameters: wp.array3d[wp.float32],
         command: wp.array2d[wp.float32],
+        scripts: wp.array2d[wp.float32],
         # whom they meet
         law: wp.array[wp.float32],
         ghost_counts: wp.array[wp.int32],
@@ -291,6 +296,9 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
                 locate(state, places, block)
                 for lane in range(lanes):
                     look_up_at_sites(block, lane, terrain, origins, places, planes)
+            if wp.static(scripted):
+                for lane in range(lanes):
+                    arrive(block, lane, state, scripts)
             control(state, parameters, command_lanes, block)
             substeps(state, parameters, command_lanes, planes, ghosts, law, block, meeting, tick)
 
@@ -373,6 +381,11 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
                     positions_out[first_agent + agent] = wp.vec3(wp.inf, wp.inf, wp.inf)
 
     return advance_frame
+
+
+@wp.func
+def _no_script(block: int, lane: int, state: wp.array3d[wp.float32], scripts: wp.array2d[wp.float32]):
+    """Nothing: what a kernel names for characters without scripts, and never calls."""
 
 
 def _module_options(program: Program) -> dict[str, Any]:

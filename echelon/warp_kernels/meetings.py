@@ -15,7 +15,7 @@ from echelon.warp_kernels.ghosts import PublicMotion, bumper_data, choose_ghosts
 from echelon.warp_kernels.meeting import GHOSTS, Bumper
 from echelon.warp_kernels.meeting_code import DUE_SIZE, contact_frequency, ghost_size
 from echelon.warp_kernels.neighbours import empty_cells
-from echelon.warp_kernels.replay import LIGHT_SLICE, slices
+from echelon.warp_kernels.replay import LIGHT_SLICE, dealt, slices
 from echelon.warp_kernels.restitution import restitution_damping
 
 
@@ -168,5 +168,5 @@ class Meetings:
             wp.launch(choose_ghosts, count, inputs=inputs, outputs=outputs, device=self._device)
 
         everybody = slices(self.crowd_count, min(threads, self.crowd_count // LIGHT_SLICE))
-        own = slices(self.agent_count, threads)
+        own = dealt(self.agent_count, threads)
         return [[clear], [partial(enter, *part) for part in everybody], [partial(choose, *part) for part in own]]

@@ -34,7 +34,7 @@ quaternion, so ``len(u) <= len(q)``.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal, Self, TypeVar, get_args
 
 import numpy as np
@@ -44,7 +44,7 @@ from echelon.errors import InputError
 Vec3 = tuple[float, float, float]
 Matrix3 = tuple[Vec3, Vec3, Vec3]
 JointKind = Literal["free", "ball", "pin", "universal", "gimbal", "slider"]
-VisualShape = Literal["ellipsoid", "capsule", "cylinder", "box", "torus"]
+VisualShape = Literal["ellipsoid", "capsule", "cylinder", "box", "torus", "mesh"]
 Surface = Literal["ground", "wall"]
 Integration = Literal["implicit", "explicit"]
 Use = Literal["usual", "rare"]
@@ -102,13 +102,16 @@ class Visual:
     """A shape drawn on a link; it has no part in the dynamics.
 
     Attributes:
-        shape: ellipsoid, capsule, cylinder, box or torus.
+        shape: ellipsoid, capsule, cylinder, box, torus or mesh.
         size: Semi-axes of an ellipsoid or box; (radius, half length along z, unused) of a capsule or
             cylinder, whose half length leaves out a capsule's caps; (radius of the ring about z, radius of its
-            round section, unused) of a torus [m].
-        position: Centre in the link's frame [m].
+            round section, unused) of a torus [m]; factors along its axes of a mesh.
+        position: Centre in the link's frame, of a mesh its origin [m].
         orientation: Quaternion (x, y, z, w) from the shape's axes to the link's.
         color: Linear RGB from 0 to 1, or None for the colour of the individual.
+        points: Corners of a mesh [m]; it may be open, a patch of a surface.
+        triangles: Corners of each of a mesh's triangles, counter-clockwise seen from outside. It is drawn smooth where
+            neighbouring triangles meet at a gentle angle.
     """
 
     shape: VisualShape
@@ -116,6 +119,8 @@ class Visual:
     position: Vec3 = (0.0, 0.0, 0.0)
     orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     color: Vec3 | None = None
+    points: tuple[Vec3, ...] = ()
+    triangles: tuple[tuple[int, int, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -288,6 +293,10 @@ class Model:
         for spring in data["springs"]:
             for end in ("link_a", "link_b"):
                 spring[end] = spring[end] or ""
+        for visual in (visual for link in data["links"] for visual in link["visuals"]):
+            for corners in ("points", "triangles"):
+                if not visual[corners]:
+                    del visual[corners]
         return _plain(data)
 
     @classmethod
@@ -365,6 +374,8 @@ def _checked_parents(model: Model) -> tuple[int, ...]:
         joint_names.add(link.joint.name)
         _check_joint(here, link)
         _check_mass(here, link)
+        for place, visual in enumerate(link.visuals):
+            _check_corners(f"{here}, visual {place}", visual)
     for spring in model.springs:
         for end in (spring.link_a, spring.link_b):
             if end is not None and end not in index_of:
@@ -424,6 +435,23 @@ def _check_mass(here: str, link: Link) -> None:
     tolerance = 1e-9 * max(float(moments[-1]), 1e-300)
     if moments[0] < -tolerance:
         raise ModelError(f"{here}: inertia has a negative principal moment, {moments[0]:.6g} kg m^2")
+
+
+def _check_corners(here: str, visual: Visual) -> None:
+    """A mesh has points and triangles between them; nothing else has any."""
+    if visual.shape != "mesh":
+        if visual.points or visual.triangles:
+            raise ModelError(f"{here}: only a mesh has points and triangles, shape is {visual.shape!r}")
+        return
+    if not visual.points or not visual.triangles:
+        raise ModelError(f"{here}: a mesh needs points and triangles, found {len(visual.points)} points")
+    if any(len(row) != 3 for row in (*visual.points, *visual.triangles)):
+        raise ModelError(f"{here}: points are lists of 3 numbers, triangles lists of 3 points")
+    if not np.all(np.isfinite(visual.points)):
+        raise ModelError(f"{here}: points hold a number that is not finite")
+    corners = np.array(visual.triangles)
+    if corners.min() < 0 or corners.max() >= len(visual.points):
+        raise ModelError(f"{here}: triangles name point {corners.max()}, there are {len(visual.points)}")
 
 
 def _check_outboard_mass(where: str, model: Model, parents: Sequence[int]) -> None:
@@ -579,10 +607,22 @@ def _joint(here: str, data: Any) -> Joint:
 
 
 def _visual(here: str, data: Any) -> Visual:
-    visual = _record(Visual, here, data)
+    _check_keys(here, data, Visual)
+    flat = {key: value for key, value in data.items() if key not in ("points", "triangles")}
+    visual = _record(Visual, here, flat)
     if visual.shape not in get_args(VisualShape):
         raise ModelError(f"{here}: shape {visual.shape!r} is not one of {', '.join(get_args(VisualShape))}")
-    return visual
+    points, triangles = (
+        tuple(_vector(f"{here}, {key}", row) for row in _list(f"{here}, {key}", data.get(key, ())))
+        for key in ("points", "triangles")
+    )
+    if any(corner != int(corner) for row in triangles for corner in row):
+        raise ModelError(f"{here}: triangles name points by whole numbers")
+    return replace(
+        visual,
+        points=points,  # type: ignore[arg-type]
+        triangles=tuple(tuple(int(corner) for corner in row) for row in triangles),  # type: ignore[arg-type]
+    )
 
 
 def _plain(value: Any) -> Any:

@@ -43,6 +43,7 @@ from echelon.warp_kernels.spatial import (
     Vector,
     add,
     apply,
+    apply_transposed,
     cross,
     quaternion_normalized,
     quaternion_product,
@@ -114,6 +115,11 @@ def evaluate_substep(
     )
     character.actuate(view, joints)
     forces = spring_forces(kin, body, view.springs)
+    for name, push in view.pushes.items():
+        index = body.link_index(name)
+        force = apply_transposed(kin.world(body.tree.node_of_link[index])[0], list(push))
+        moment = cross(list(body.links[index].com), force)
+        forces.setdefault(index, []).append((moment, force))
     if wrench is not None:
         forces.setdefault(0, []).append((list(wrench[:3]), list(wrench[3:])))
     qdd = articulated.forward_dynamics(kin, joints.tau, joints.implicit, loads, forces)

@@ -1,8 +1,12 @@
 """Launches captured once and replayed each frame, in slices over a team of threads.
 
 A frame's launches come in *phases*. The slices of one phase read nothing that another slice of it writes, so they may
-run side by side, each on a thread of a `Team`; the next phase begins when all are done. Phases of one slice that
+run side by side, on the threads of a `Team`; the next phase begins when all are done. Phases of one slice that
 follow one another are one graph: a small crowd, which is not worth a second thread, is one replay a frame.
+
+Threads are not equally fast: a core has other things to do, the thread that writes a recording among them. So heavy
+phases come in more slices than there are threads, which take them as they get done: large ones first, then ever
+smaller ones, so that all end at about the same time. Who works on what cannot change a bit.
 
 On a CPU a launch costs some 10 microseconds of Python, and replaying a captured graph of a dozen two or three.
 """
@@ -11,6 +15,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,6 +30,10 @@ GRAPH_LIMIT = 8
 LIGHT_SLICE = 4_000
 """Agents that are worth a thread of their own where there is little to do for each, such as entering a hash grid."""
 
+LAST_SLICES = 32
+"""The smallest slices of a phase that is dealt out are such a part of it, over the number of threads: replaying a slice
+takes some five microseconds of Python, so they are not to be too small."""
+
 Phase = Sequence[Callable[[], None]]
 """What launches each slice of a phase."""
 
@@ -37,10 +46,30 @@ def slices(count: int, parts: int, *, first: int = 0, multiple: int = 1) -> list
     return [(first + a, b - a) for a, b in itertools.pairwise(bounds)]
 
 
+def dealt(count: int, threads: int, *, first: int = 0, least: int = 1) -> list[tuple[int, int]]:
+    """(first, count) of the slices that so many threads take in turn: each half a thread's share of what is left.
+
+    Args:
+        count: Of the range.
+        threads: Who take them; one takes all at once.
+        first: Number of the first.
+        least: A slice has so many at least, but for the last.
+    """
+    least = max(least, -(-count // (LAST_SLICES * threads)))
+    found, begun = [], 0
+    while begun < count:
+        left = count - begun
+        size = left if threads == 1 else min(left, max(left // (2 * threads), least))
+        found.append((first + begun, size))
+        begun += size
+    return found or [(first, 0)]
+
+
 class Team:
     """Threads that work side by side; whoever calls `run` is one of them.
 
-    Waking a thread and waiting for it takes a lock each, which is several times faster than an executor's queue.
+    Waking a thread and waiting for it takes a lock each, which is several times faster than an executor's queue. Who
+    has not woken up by the time when all is done sleeps on.
 
     Attributes:
         size: How many they are, the caller included.
@@ -51,12 +80,17 @@ class Team:
         self._helpers = [_Helper() for _ in range(size - 1)]
 
     def run(self, works: Sequence[Callable[[], None]]) -> None:
-        """Do each of at most `size` pieces of work on a thread of its own; raises what one of them raised."""
+        """Do all pieces of work; each thread takes the next when it is done with one. Raises what one of them raised.
+
+        Args:
+            works: In the order in which they are begun.
+        """
         helpers = self._helpers[: len(works) - 1]
-        for helper, work in zip(helpers, works[1:], strict=True):
-            helper.begin(work)
+        left = deque(works)
+        for helper in helpers:
+            helper.begin(left)
         try:
-            works[0]()
+            do_all(left)
         finally:
             for helper in helpers:
                 helper.wait()
@@ -98,9 +132,9 @@ class Share:
         return cls(crowd, 0, crowd, Team(1), beyond)
 
     def own(self, launch: Callable[[int, int], None]) -> list[Callable[[], None]]:
-        """What launches (first, count) of each slice of its own agents, and of those beyond the crowd."""
+        """What launches (first, count) of each slice of its own agents, and of those beyond the crowd, as `dealt`."""
         last = self.first + self.count == self.crowd
-        parts = slices(self.count + self.beyond * last, self.team.size, first=self.first)
+        parts = dealt(self.count + self.beyond * last, self.team.size, first=self.first)
         works: list[Callable[[], None]] = [partial(launch, *part) for part in parts]
         if self.beyond and not last:
             works[0] = partial(launch_all, [works[0], partial(launch, self.crowd, self.beyond)])
@@ -137,11 +171,21 @@ def launch_all(launches: Sequence[Callable[[], None]]) -> None:
         launch()
 
 
+def do_all(left: deque[Callable[[], None]]) -> None:
+    """Take what is left, one after the other, until others and this thread have begun all."""
+    while True:
+        try:
+            work = left.popleft()
+        except IndexError:
+            return
+        work()
+
+
 class _Helper:
     """One thread of a team, which sleeps until there is something to do."""
 
     def __init__(self) -> None:
-        self._work: Callable[[], None] | None = None
+        self._left: deque[Callable[[], None]] | None = None
         self._error: BaseException | None = None
         self._go, self._done = threading.Lock(), threading.Lock()
         self._go.acquire()
@@ -149,12 +193,15 @@ class _Helper:
         self._thread = threading.Thread(target=self._serve, name="echelon", daemon=True)
         self._thread.start()
 
-    def begin(self, work: Callable[[], None]) -> None:
-        self._work = work
+    def begin(self, left: deque[Callable[[], None]]) -> None:
+        """Wake up and help with what is left."""
+        self._left = left
         self._go.release()
 
     def wait(self) -> None:
-        self._done.acquire()
+        """Until it is done, unless it has not even woken up: then it is not called any more."""
+        if not self._go.acquire(blocking=False):
+            self._done.acquire()
 
     def check(self) -> None:
         if self._error is not None:
@@ -162,17 +209,17 @@ class _Helper:
             raise error
 
     def end(self) -> None:
-        self._work = None
+        self._left = None
         self._go.release()
         self._thread.join()
 
     def _serve(self) -> None:
         while True:
             self._go.acquire()
-            if self._work is None:
+            if self._left is None:
                 return
             try:
-                self._work()
+                do_all(self._left)
             except BaseException as error:  # raised anew by the thread that asked for the work
                 self._error = error
             self._done.release()
@@ -197,7 +244,7 @@ class Graphs:
         self._steps = [[_captured(launches, device) for launches in graphs] for graphs in steps]
 
     def replay(self, team: Team) -> None:
-        """Launch everything once more, on as many threads as the largest phase has slices."""
+        """Launch everything once more, phases of several slices on all threads of a team."""
         for graphs in self._steps:
             if len(graphs) == 1:
                 graphs[0]()
@@ -233,7 +280,7 @@ class Replay:
         Args:
             arrays: What its launches take that may be another the next time.
             phases: Gives them; called only where these arrays are new.
-            team: Who carries them out; one slice a thread at most.
+            team: Who carries them out.
         """
         key = tuple(array.ptr for array in arrays)
         if key not in self._kept:

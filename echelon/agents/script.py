@@ -1,0 +1,446 @@
+"""Scripts of gymnasts: a TOML file becomes the table of numbers that the engine follows.
+
+A maneuver is a file. It names *parameters* and *rows*; a row says what to move where, how stiffly, under which
+feedback, and what leads on to which other row:
+
+    name = "vertical-leap"
+    body = "male"                                   # whom it was tuned for
+    title = "A vertical leap of half a metre"
+
+    [parameters]                                    # numbers with names, to be tuned and varied
+    crouch = 0.60
+    hip_end = { value = -0.1, spread = 0.01, least = -0.6, most = 0.4 }
+
+    [[row]]
+    name = "crouch"
+    phase = "crouch"                                # one of the gymnast's phases
+    duration = 0.5                                  # of all paths of this row [s]
+    legs = { length = "crouch", hip = -0.64 }       # hip, knee and ankle for a distance from hip to ankle, eq. 7.5, 7.6
+    channels = { shoulder = -0.6, elbow = 0.2 }     # see gymnast_channels
+    durations = { shoulder = 0.3 }
+    gains = { hip = 0.77, ankle = [4.45, 1.0] }     # kp, or kp and kv, times the usual
+    settings = { balance = 1, com_x = 0.02 }        # see gymnast.SETTINGS
+    start = "measured"                              # paths start from what is measured, not from what was wanted
+    capture = { vz = [-2.0, 2.0] }                  # what should hold on arrival
+    next = [{ to = "push", when = { row_age = [0.6, inf], com_x = [0.0, 0.1] } }]
+
+Rows stand in order; the first begins. Wherever a number stands, a string may: an expression of parameters, with
+``+ - * /``, parentheses, ``pi`` and the functions ``min``, ``max``, ``abs`` and ``table(x, [xs], [ys])``, which is
+piecewise linear.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import math
+import operator
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from echelon.agents.gymnast import MEASURES, SETTINGS, Gymnast
+from echelon.agents.gymnast_body import LegGeometry, leg_geometry
+from echelon.agents.gymnast_channels import CHANNELS, GROUPS, SIDED, SIDES, channels_named
+from echelon.errors import InputError
+from echelon.warp_kernels.reference import Body
+from echelon.warp_kernels.scripts import CAPTURES, CLAUSE_SIZE, CLAUSES, TRANSITION_SIZE, TRANSITIONS, ScriptLayout
+
+_SHIPPED = resources.files("echelon.agents") / "maneuvers"
+ROW_KEYS = (
+    "name", "phase", "duration", "durations", "legs", "channels", "gains", "settings", "start", "capture", "next",
+)  # fmt: skip
+FILE_KEYS = ("name", "title", "description", "body", "parameters", "row")
+PARAMETER_KEYS = ("value", "spread", "least", "most", "unit", "about")
+STARTS = ("wanted", "measured")
+DEFAULT_DURATION = 0.3  # of a path where a row does not say [s]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of a script that can be tuned and varied.
+
+    Attributes:
+        value: Usual value.
+        spread: By how much individuals differ from it, to either side, evenly.
+        least, most: A tuner looks between these.
+        about: What it is, for people.
+    """
+
+    value: float
+    spread: float = 0.0
+    least: float = -math.inf
+    most: float = math.inf
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Script:
+    """A maneuver as its file gives it; `table` makes numbers of it.
+
+    Attributes:
+        name, title, description: For people.
+        body: Whom it was tuned for.
+        parameters: By name.
+        rows: As parsed, in order.
+        source: Where it came from, for messages.
+    """
+
+    name: str
+    title: str
+    description: str
+    body: str
+    parameters: Mapping[str, Parameter]
+    rows: tuple[Mapping[str, Any], ...]
+    source: str
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        return tuple(row["name"] for row in self.rows)
+
+    def table(self, body: Body, values: Mapping[str, float] | None = None) -> np.ndarray:
+        """The script as the engine follows it.
+
+        Args:
+            body: Whose legs `legs` is about.
+            values: Parameters that differ from the script's own, by name.
+
+        Returns:
+            Shape [rows, row size], float32, laid out as `Gymnast.script` says.
+
+        Raises:
+            InputError: A parameter that the script does not have, or an expression without a value.
+        """
+        for name in values or {}:
+            _known(self.source, "parameters", name, tuple(self.parameters))
+        numbers = {name: parameter.value for name, parameter in self.parameters.items()} | dict(values or {})
+        writer = _TableWriter(self, Gymnast.script, body, numbers)
+        return np.array([writer.row(place, row) for place, row in enumerate(self.rows)], dtype=np.float32)
+
+    def varied(self, count: int, seed: int, share: float = 1.0) -> list[dict[str, float]]:
+        """Values of parameters for individuals that differ by `share` of each parameter's spread, evenly.
+
+        Individual i does not depend on the count.
+        """
+        names = [name for name, parameter in self.parameters.items() if parameter.spread > 0.0]
+        width = max(len(names), 1)
+        bits = np.random.Philox(key=seed).random_raw(count * width).reshape(count, width)
+        uniform = (bits >> np.uint64(11)).astype(np.float64) * 2.0**-52 - 1.0
+        values = np.array([self.parameters[name].value for name in names])
+        spreads = np.array([self.parameters[name].spread for name in names])
+        return [
+            dict(zip(names, (values + share * spreads * row[: len(names)]).tolist(), strict=True)) for row in uniform
+        ]
+
+    def with_values(self, values: Mapping[str, float]) -> Script:
+        """This script with other usual values of some parameters."""
+        for name in values:
+            _known(self.source, "parameters", name, tuple(self.parameters))
+        parameters = {
+            name: Parameter(values.get(name, p.value), p.spread, p.least, p.most, p.about)
+            for name, p in self.parameters.items()
+        }
+        return Script(self.name, self.title, self.description, self.body, parameters, self.rows, self.source)
+
+
+def maneuver_names() -> tuple[str, ...]:
+    """Names of the maneuvers that ship, in alphabetical order."""
+    return tuple(sorted(Path(e.name).stem for e in _SHIPPED.iterdir() if e.name.endswith(".toml")))
+
+
+def load_script(name_or_path: str | Path) -> Script:
+    """A maneuver that ships, by name, or a file's.
+
+    Raises:
+        InputError: One line naming the file, the key and what is allowed.
+    """
+    if str(name_or_path) in maneuver_names():
+        return parse_script((_SHIPPED / f"{name_or_path}.toml").read_text("utf-8"), f"{name_or_path}.toml")
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        near = difflib.get_close_matches(str(name_or_path), maneuver_names(), n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        known = ", ".join(maneuver_names())
+        raise InputError(f"maneuver {str(name_or_path)!r}: {hint}allowed are {known} or the path of a .toml file")
+    try:
+        return parse_script(path.read_text("utf-8"), str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8: {error.reason}") from None
+
+
+def parse_script(text: str, source: str) -> Script:
+    """A script from the text of a TOML file; `source` names it in messages.
+
+    Raises:
+        InputError: One line naming the file, the key and what is allowed.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source}: is not TOML: {error}") from None
+    for key in data:
+        _known(source, "the file", key, FILE_KEYS)
+    rows = data.get("row", [])
+    if not isinstance(rows, list) or not rows:
+        raise InputError(f"{source}: needs at least one [[row]]")
+    for place, row in enumerate(rows):
+        for key in row:
+            _known(source, f"row {place + 1}", key, ROW_KEYS)
+        row.setdefault("name", f"row {place + 1}")
+    names = [row["name"] for row in rows]
+    twice = [name for place, name in enumerate(names) if name in names[:place]]
+    if twice:
+        raise InputError(f"{source}: row name {twice[0]!r} stands twice; names must differ")
+    parameters = {name: _parameter(source, name, value) for name, value in data.get("parameters", {}).items()}
+    script = Script(
+        name=str(data.get("name", Path(source).stem)),
+        title=str(data.get("title", "")),
+        description=str(data.get("description", "")),
+        body=str(data.get("body", "male")),
+        parameters=parameters,
+        rows=tuple(rows),
+        source=source,
+    )
+    _check(script)
+    return script
+
+
+def leg_angles(leg: LegGeometry, length: float) -> tuple[float, float, float]:
+    """Hip, knee and ankle for a distance from hip to ankle, with the hip straight above the ankle [rad].
+
+    Equations 7.5 and 7.6 of *Simulation of Leaping, Tumbling, Landing, and Balancing Humans*, for an upright pelvis and
+    a flat foot; a longer distance than the leg has stretches it.
+
+    Args:
+        leg: As `leg_geometry` gives it.
+        length: From hip to ankle [m].
+    """
+    thigh, shank = leg.thigh, leg.shank
+    length = min(max(length, abs(thigh - shank) + 1e-6), thigh + shank)
+    at_knee = (thigh**2 + shank**2 - length**2) / (2.0 * thigh * shank)
+    at_hip = (thigh**2 - shank**2 + length**2) / (2.0 * thigh * length)
+    bend = math.pi - math.acos(min(max(at_knee, -1.0), 1.0))
+    lean = math.acos(min(max(at_hip, -1.0), 1.0))
+    # The angles are counted from the reference pose, where thigh and shank lean a little.
+    return leg.thigh_lean - lean, bend - leg.thigh_lean + leg.shank_lean, lean - bend - leg.shank_lean
+
+
+# ---- from rows to numbers --------------------------------------------------------------------------------------------
+class _TableWriter:
+    """Makes numbers of a script's rows, for one body and one set of parameters."""
+
+    def __init__(self, script: Script, layout: ScriptLayout, body: Body, numbers: Mapping[str, float]) -> None:
+        self.script = script
+        self.layout = layout
+        self.body = body
+        self.numbers = numbers
+        self.setting_places = {name: layout.setting_place + i for i, name in enumerate(layout.settings)}
+
+    def value(self, where: str, given: Any) -> float:
+        return _number(self.script.source, where, given, self.numbers)
+
+    def row(self, place: int, row: Mapping[str, Any]) -> list[float]:
+        where = f"row {row['name']!r}"
+        layout = self.layout
+        numbers = [math.nan] * layout.row_size
+        targets = self._targets(where, row)
+        usual = self.value(f"{where}, duration", row.get("duration", DEFAULT_DURATION))
+        durations = {
+            channel: self.value(f"{where}, durations.{name}", given)
+            for name, given in row.get("durations", {}).items()
+            for channel in _channels(self.script.source, f"{where}, durations", name)
+        }
+        for i, channel in enumerate(layout.channels):
+            numbers[i] = targets.get(channel, math.nan)
+            numbers[layout.duration_place + i] = max(durations.get(channel, usual), 1e-3)
+        for name, value in self._settings(where, row).items():
+            numbers[self.setting_places[name]] = value
+        numbers[layout.start_place] = float(row.get("start", "wanted") == "measured")
+        numbers[layout.phase_place] = float(Gymnast.phase_names.index(row.get("phase", "standing")))
+        for i in range(TRANSITIONS):
+            at = layout.transition_place + i * TRANSITION_SIZE
+            given = row.get("next", [])
+            numbers[at] = -1.0
+            clauses: Mapping[str, Any] = {}
+            if i < len(given):
+                numbers[at] = float(self.script.row_names.index(given[i]["to"]))
+                clauses = given[i].get("when", {})
+            self._clauses(f"{where}, next", clauses, numbers, at + 1, CLAUSES)
+        self._clauses(f"{where}, capture", row.get("capture", {}), numbers, layout.capture_place, CAPTURES)
+        return numbers
+
+    def _targets(self, where: str, row: Mapping[str, Any]) -> dict[str, float]:
+        targets: dict[str, float] = {}
+        if "legs" in row:
+            length = self.value(f"{where}, legs.length", row["legs"]["length"])
+            hip, knee, ankle = leg_angles(leg_geometry(self.body), length)
+            hip = self.value(f"{where}, legs.hip", row["legs"].get("hip", hip))
+            for side in SIDES:
+                targets |= {f"{side}_hip": hip, f"{side}_knee": knee, f"{side}_ankle": ankle}
+        for name, given in row.get("channels", {}).items():
+            for channel in _channels(self.script.source, f"{where}, channels", name):
+                targets[channel] = self.value(f"{where}, channels.{name}", given)
+        return targets
+
+    def _settings(self, where: str, row: Mapping[str, Any]) -> dict[str, float]:
+        settings = dict(self.layout.settings)
+        for group, given in row.get("gains", {}).items():
+            pair = given if isinstance(given, list) else [given, 1.0]
+            for part, value in zip(("kp", "kv"), pair, strict=True):
+                settings[f"{part}.{group}"] = self.value(f"{where}, gains.{group}", value)
+        for name, given in row.get("settings", {}).items():
+            settings[name] = self.value(f"{where}, settings.{name}", given)
+        return settings
+
+    def _clauses(self, where: str, clauses: Mapping[str, Any], numbers: list[float], at: int, count: int) -> None:
+        filled = list(clauses.items())
+        for i in range(count):
+            measure, least, most = -1.0, 0.0, 0.0
+            if i < len(filled):
+                name, (low, high) = filled[i]
+                measure = float(self.layout.measures.index(name))
+                least, most = self.value(f"{where}.{name}", low), self.value(f"{where}.{name}", high)
+            numbers[at + i * CLAUSE_SIZE : at + (i + 1) * CLAUSE_SIZE] = [measure, least, most]
+
+
+# ---- what is allowed -------------------------------------------------------------------------------------------------
+def _check(script: Script) -> None:
+    """Every name that a script uses exists, and every expression has a value with the usual parameters."""
+    source, names = script.source, script.row_names
+    numbers = {name: parameter.value for name, parameter in script.parameters.items()}
+    for row in script.rows:
+        where = f"row {row['name']!r}"
+        if row.get("phase", "standing") not in Gymnast.phase_names:
+            _known(source, f"{where}, phase", row["phase"], Gymnast.phase_names)
+        if row.get("start", "wanted") not in STARTS:
+            _known(source, f"{where}, start", row["start"], STARTS)
+        for key in ("durations", "channels"):
+            for name, given in row.get(key, {}).items():
+                _channels(source, f"{where}, {key}", name)
+                _number(source, f"{where}, {key}.{name}", given, numbers)
+        for name, given in row.get("legs", {}).items():
+            _known(source, f"{where}, legs", name, ("length", "hip"))
+            _number(source, f"{where}, legs.{name}", given, numbers)
+        if "legs" in row and "length" not in row["legs"]:
+            raise InputError(f"{source}: {where}, legs: needs a length [m]")
+        for name, given in row.get("gains", {}).items():
+            _known(source, f"{where}, gains", name, GROUPS)
+            pair = given if isinstance(given, list) else [given, 1.0]
+            if len(pair) != 2:
+                raise InputError(f"{source}: {where}, gains.{name} = {given!r}: must be kp, or [kp, kv]")
+            for value in pair:
+                _number(source, f"{where}, gains.{name}", value, numbers)
+        for name, given in row.get("settings", {}).items():
+            _known(source, f"{where}, settings", name, tuple(SETTINGS))
+            _number(source, f"{where}, settings.{name}", given, numbers)
+        _check_clauses(source, f"{where}, capture", row.get("capture", {}), CAPTURES, numbers)
+        transitions = row.get("next", [])
+        if not isinstance(transitions, list) or len(transitions) > TRANSITIONS:
+            raise InputError(f"{source}: {where}, next: must be a list of at most {TRANSITIONS} transitions")
+        for transition in transitions:
+            for key in transition:
+                _known(source, f"{where}, next", key, ("to", "when"))
+            if "to" not in transition:
+                raise InputError(f"{source}: {where}, next: a transition needs the row that it leads to")
+            _known(source, f"{where}, next", transition["to"], names)
+            _check_clauses(source, f"{where}, next", transition.get("when", {}), CLAUSES, numbers)
+
+
+def _check_clauses(source: str, where: str, clauses: Any, count: int, numbers: Mapping[str, float]) -> None:
+    if not isinstance(clauses, Mapping) or len(clauses) > count:
+        raise InputError(f"{source}: {where}: must be at most {count} measures with their ranges")
+    for name, given in clauses.items():
+        _known(source, where, name, MEASURES)
+        if not isinstance(given, list) or len(given) != 2:
+            raise InputError(f"{source}: {where}.{name} = {given!r}: must be [least, most]")
+        for value in given:
+            _number(source, f"{where}.{name}", value, numbers)
+
+
+def _parameter(source: str, name: str, given: Any) -> Parameter:
+    if not name.isidentifier():
+        raise InputError(f"{source}: parameters: {name!r} must be a word of letters, digits and underscores")
+    if isinstance(given, int | float) and not isinstance(given, bool):
+        return Parameter(float(given))
+    if not isinstance(given, Mapping) or "value" not in given:
+        raise InputError(f"{source}: parameters.{name} = {given!r}: must be a number, or a table with a value")
+    for key in given:
+        _known(source, f"parameters.{name}", key, PARAMETER_KEYS)
+    return Parameter(
+        float(given["value"]),
+        float(given.get("spread", 0.0)),
+        float(given.get("least", -math.inf)),
+        float(given.get("most", math.inf)),
+        str(given.get("about", "")),
+    )
+
+
+def _channels(source: str, where: str, name: str) -> tuple[str, ...]:
+    channels = channels_named(name)
+    if not channels:
+        _known(source, where, name, (*SIDED, *CHANNELS))
+    return channels
+
+
+def _known(source: str, where: str, name: Any, allowed: Sequence[str]) -> None:
+    if name in allowed:
+        return
+    near = difflib.get_close_matches(str(name), allowed, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    raise InputError(f"{source}: {where}: {name!r} is not known: {hint}allowed are {', '.join(allowed)}")
+
+
+# ---- expressions -----------------------------------------------------------------------------------------------------
+_BINARY: Mapping[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
+    "min": min,
+    "max": max,
+    "abs": abs,
+    "table": lambda x, xs, ys: float(np.interp(x, xs, ys)),
+}
+
+
+def _number(source: str, where: str, given: Any, numbers: Mapping[str, float]) -> float:
+    """A number, or the value of an expression of parameters."""
+    if isinstance(given, int | float) and not isinstance(given, bool):
+        return float(given)
+    if not isinstance(given, str):
+        raise InputError(f"{source}: {where} = {given!r}: must be a number or an expression of parameters")
+    try:
+        return float(_evaluate(ast.parse(given, mode="eval").body, numbers))
+    except KeyError as error:
+        known = ", ".join([*numbers, "pi", *_FUNCTIONS]) or "none"
+        raise InputError(f"{source}: {where} = {given!r}: {error.args[0]!r} is not known; known are {known}") from None
+    except (SyntaxError, TypeError, ValueError, ZeroDivisionError) as error:
+        raise InputError(f"{source}: {where} = {given!r}: has no value: {error}") from None
+
+
+def _evaluate(node: ast.AST, numbers: Mapping[str, float]) -> Any:
+    match node:
+        case ast.Constant(value=int() | float() as value):
+            return value
+        case ast.Name(id="pi"):
+            return math.pi
+        case ast.Name(id=name):
+            return numbers[name]
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return -_evaluate(operand, numbers)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            return _BINARY[type(op)](_evaluate(left, numbers), _evaluate(right, numbers))
+        case ast.List(elts=elements):
+            return [_evaluate(element, numbers) for element in elements]
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+            return _FUNCTIONS[name](*[_evaluate(argument, numbers) for argument in arguments])
+    raise ValueError(f"{ast.unparse(node)!r} is not allowed")
