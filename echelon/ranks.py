@@ -22,8 +22,6 @@ from echelon.launcher import launched_ranks
 BARRIER_LOOK = 1e-3
 """How often who waits for others looks whether they are there [s]."""
 
-_NOTE = np.dtype("<i8")
-
 
 class Ranks:
     """The ranks that simulate together, seen from one of them.
@@ -156,7 +154,7 @@ class Ranks:
 
 
 class Exchange:
-    """What every rank tells all others each frame: rows of arrays, and a number of its own.
+    """What every rank tells all others each frame: rows of arrays.
 
     Attributes:
         bytes_per_agent: What is told of one agent.
@@ -174,15 +172,14 @@ class Exchange:
         widths = [rows.shape[1] for rows in self._rows]
         self.bytes_per_agent = sum(widths)
         parts = [ranks.part(count, rank) for rank in range(ranks.size)]
-        sizes = [_NOTE.itemsize + self.bytes_per_agent * number for _, number in parts]
+        sizes = [self.bytes_per_agent * number for _, number in parts]
         starts = np.concatenate([[0], np.cumsum(sizes)])
         self._counts, self._starts = sizes, starts[:-1].tolist()
         self._received = np.zeros(starts[-1], np.uint8)
-        # For each rank its note, and for each array the bytes in the buffer and those in the array.
-        self._notes = [self._received[s : s + _NOTE.itemsize].view(_NOTE) for s in self._starts]
+        # For each rank, and for each array, the bytes in the buffer and those in the array.
         self._places: list[list[tuple[np.ndarray, np.ndarray]]] = []
         for (first, number), start in zip(parts, self._starts, strict=True):
-            at = start + _NOTE.itemsize
+            at = start
             pairs: list[tuple[np.ndarray, np.ndarray]] = []
             for rows, width in zip(self._rows, widths, strict=True):
                 buffer = self._received[at : at + number * width].reshape(number, width)
@@ -190,25 +187,17 @@ class Exchange:
                 at += number * width
             self._places.append(pairs)
         self._sent = np.zeros(sizes[ranks.rank], np.uint8)
-        at = _NOTE.itemsize
+        at = 0
         self._own: list[tuple[np.ndarray, np.ndarray]] = []
         for _, rows in self._places[ranks.rank]:
             self._own.append((self._sent[at : at + rows.size].reshape(rows.shape), rows))
             at += rows.size
 
-    def __call__(self, note: int = 0) -> list[int]:
-        """Tell all others the rows of this rank's agents, take theirs.
-
-        Args:
-            note: A number to tell them along with it.
-
-        Returns:
-            That of each rank.
-        """
+    def __call__(self) -> None:
+        """Tell all others the rows of this rank's agents, take theirs."""
         communicator = self._ranks._communicator
         if communicator is None:
-            return [note]
-        self._sent[: _NOTE.itemsize].view(_NOTE)[0] = note
+            return
         for buffer, rows in self._own:
             buffer[:] = rows
         communicator.Allgatherv(self._sent, [self._received, self._counts, self._starts, _byte()])
@@ -216,7 +205,6 @@ class Exchange:
             if rank != self._ranks.rank:
                 for buffer, rows in pairs:
                     rows[:] = buffer
-        return [int(found[0]) for found in self._notes]
 
 
 def _byte() -> Any:

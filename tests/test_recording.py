@@ -96,16 +96,23 @@ def go_on(writer: RecordingWriter, state: dict[str, np.ndarray] | None, pause: f
     walk = Walk()
     if state is not None:
         walk.load(state)
-    buffers, turn = (writer.buffers(), writer.buffers()), 0
+    buffers, piece = writer.buffers(), 3  # frames at once, in some chunks; others are given whole
     with writer:
         while writer.next_frame < writer.frame_limit:
             count = min(CHUNK, writer.frame_limit - writer.next_frame)
             start, events = walk.state(), []
+            in_pieces = writer.next_frame // CHUNK % 2 == 0
+            if in_pieces:
+                writer.begin_chunk(start)
             for row in range(count):
-                events += walk.record(row, buffers[turn])
-            frames = {name: array[:count] for name, array in buffers[turn].items()}
-            writer.append(frames, start, np.array(events, EVENT_DTYPE))
-            turn = 1 - turn
+                events += walk.record(row, buffers)
+                if in_pieces and (row % piece == piece - 1 or row == count - 1):
+                    writer.extend({name: array[row - row % piece : row + 1] for name, array in buffers.items()})
+            table = np.array(events, EVENT_DTYPE)
+            if in_pieces:
+                writer.end_chunk(table)
+            else:
+                writer.append({name: array[:count] for name, array in buffers.items()}, start, table)
             time.sleep(pause)
         writer.finish({"frames": FRAMES, "state_hash": walk.x.tobytes().hex()})
 
@@ -373,9 +380,8 @@ def test_resumed_events_that_differ_are_found_out(tmp_path: Path) -> None:
         table = np.array(events, EVENT_DTYPE)
         table["agent"][-1] += change == "other"
         with writer:
-            writer.append(frames, state, table[: -1 if change == "fewer" else None])
             with pytest.raises(RecordingFailed, match="events came out differently"):
-                writer.finish({})
+                writer.append(frames, state, table[: -1 if change == "fewer" else None])
 
 
 def interrupted(path: Path, after: int = 3) -> None:
@@ -556,14 +562,14 @@ def test_a_full_disk(tmp_path: Path) -> None:
     with begin(path) as writer:
         frames = writer.buffers()
         writer.append(frames, Walk().state())
-        writer.append(frames, Walk().state())  # returns when the first is on disk
-        writer._wait()
+        writer.append(frames, Walk().state())
         soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
         try:
-            writer.append(frames, Walk().state())
-            with pytest.raises(RecordingFailed, match="what was recorded before is safe") as error:
-                writer._wait()
+            with pytest.raises(
+                RecordingFailed, match=r"its first 40 frames are safe \(at most a chunk, 20 frames, is lost\)"
+            ) as error:
+                writer.append(frames, Walk().state())
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         assert "\n" not in str(error.value)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import cache, partial
 
 from echelon.agents.cyclist import Cyclist
+from echelon.agents.gymnast import gymnast
 from echelon.agents.hopper import Hopper
 from echelon.agents.point_mass import PointMass
 from echelon.errors import InputError
@@ -16,6 +17,8 @@ CHARACTERS: Mapping[str, Callable[[], Character]] = {
     "cyclist": Cyclist,
     "cyclist-1995": partial(Cyclist, fifteen_segments=True),
     "point-mass": PointMass,
+    "gymnast-male": partial(gymnast, "male"),
+    "gymnast-female": partial(gymnast, "female"),
 }
 
 

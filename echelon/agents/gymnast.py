@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from echelon.agents.gymnast_body import standing_q
+from echelon.agents.gymnast_body import HEIGHTS, Sex, gymnast_body, standing_q
 from echelon.agents.gymnast_channels import (
     CHANNELS,
     GROUPS,
@@ -73,7 +73,7 @@ SPINE_GAINS: Mapping[str, tuple[float, float]] = {
     "spine_t7": (2800.0, 140.0),
     "spine_t4": (2200.0, 100.0),
 }
-FEMALE_GAIN = 0.42  # of all servos against the male's
+GAIN_BODY = 97.84 * 1.84**2  # mass times height squared of the body that the gains above are for [kg m^2]
 ARMS_SPREAD = 0.2  # of one who stands at ease [rad]
 LIMP_STIFFNESS, LIMP_DAMPING = 0.01, 0.2  # what is left of the gains of one who has fallen
 FALL_FORCE = 40.0  # on a part that should not touch the ground [N]
@@ -460,6 +460,23 @@ class Gymnast:
 
     def _speed(self, joint: JointAxis, side: str) -> int:
         return self._place(f"{side}_{joint.joint}", joint.axis)[1]
+
+
+def gymnast(
+    sex: Sex, *, backpack: float = 0.0, height: float | None = None, mass: float | None = None, name: str = ""
+) -> Gymnast:
+    """A gymnast whose servos are as much stronger than the male's as its limbs are harder to move.
+
+    Args:
+        sex: Whose proportions.
+        backpack: What is carried [kg]; servos stay those of the body without it.
+        height, mass: Of the body [m], [kg]; None for the thesis's.
+        name: What scenarios call it; made of the sex if empty.
+    """
+    bare = gymnast_body(sex, height=height, mass=mass)
+    tallness = HEIGHTS[sex] if height is None else height
+    body = gymnast_body(sex, height=height, mass=mass, backpack=backpack) if backpack > 0.0 else bare
+    return Gymnast(body, name or f"gymnast-{sex}", bare.mass * tallness**2 / GAIN_BODY)
 
 
 def shoulder_orientation(side: str, raised: Any, spread: Any, turn: Any) -> list[Any]:

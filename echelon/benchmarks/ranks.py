@@ -150,7 +150,8 @@ def measure(ranks: Ranks, scenario: str = "herd", sizes: Sequence[int] = SIZES) 
                 whole, phases, told = frame_seconds(_plan(scenario, size), Ranks())
                 # One agent of its own: all else that it does, it does for everybody.
                 shared, _, _ = frame_seconds(_plan(scenario, size), _one_of(size))
-                row = {"agents": size, "frame_us": whole, "act_us": phases["act"], "see_want_us": phases["see_want"]}
+                see_want = phases["see"] + phases["want"]
+                row = {"agents": size, "frame_us": whole, "act_us": phases["act"], "see_want_us": see_want}
                 alone.append({**row, "everybody_us": shared})
     alone, told = ranks.broadcast((alone, told))
     model = fitted(alone, told)

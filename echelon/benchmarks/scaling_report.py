@@ -33,8 +33,7 @@ PLOT_SIZE = (8.0, 5.6)  # [inch]
 PLOT_DOTS = 110  # an inch
 INK, FAINT = "#30363d", "#9aa4ad"
 KIND_COLORS = {"hoppers": "#2f6f9f", "riders": "#c0182b"}
-PHASE_COLORS = {"see_want": "#2f6f9f", "act": "#c0182b", "exchange": "#7a5ea8", "record": "#d08a1d"}
-PHASE_NAMES = {"see_want": "see and want", "act": "act", "exchange": "exchange", "record": "record", "write": "write"}
+PHASE_COLORS = {"see": "#2f6f9f", "want": "#4f9d8a", "act": "#c0182b", "exchange": "#7a5ea8", "record": "#d08a1d"}
 
 
 def _number(key: str, digits: int, scale: float = 1.0) -> Callable[[Row], str]:
@@ -69,7 +68,8 @@ COLUMNS: tuple[Column, ...] = (
     ("agents", _number("agents", 0)),
     ("threads", _words("threads")),
     ("frame [ms]", _figures("frame_ms")),
-    ("see, want [ms]", _figures("see_want_ms")),
+    ("see [ms]", _figures("see_ms")),
+    ("want [ms]", _figures("want_ms")),
     ("act [ms]", _figures("act_ms")),
     ("record [ms]", _figures("record_ms")),
     ("write [ms]", _figures("write_ms")),
@@ -266,7 +266,7 @@ def _plot_phases(axes: Any, rows: Sequence[Row], kind: str) -> None:
     for phase, color in PHASE_COLORS.items():
         parts = [100.0 * row[f"{phase}_ms"] / row["frame_ms"] for row in chosen]
         if max(parts) > 0.5:
-            axes.bar(range(len(chosen)), parts, bottom=bottom, color=color, width=0.7, label=PHASE_NAMES[phase])
+            axes.bar(range(len(chosen)), parts, bottom=bottom, color=color, width=0.7, label=phase)
         bottom = [below + part for below, part in zip(bottom, parts, strict=True)]
     axes.set_xticks(range(len(chosen)), [f"{row['agents']:,}" for row in chosen])
     axes.set(ylim=(0, 100), xlabel="agents")
@@ -324,8 +324,8 @@ PAGE = """\
 more of them. Everything is as in `echelon simulate`: neighbours from the hash grid, rules, control, contact with the
 ground and with one another, dynamics, and the recording on disk.
 
-* **see and want**: the group layer: who is near, and what everybody wants; in one launch after another, so the two are
-  one column.
+* **see**: who is near: the hash grid and the nearest neighbours of each, and, of a herd, who collides.
+* **want**: what everybody decides on; of riders also who strays off the road or touches another.
 * **act**: control, contact, dynamics, integration: the substeps of everybody's body.
 * **record**: noting what happened, and handing chunks of it over, waiting for the disk included.
 * **write**: a thread of its own that writes a chunk while the next is simulated; no part of a frame's time unless the

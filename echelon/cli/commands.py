@@ -27,6 +27,7 @@ from echelon.cli.running import Failure, announce, check_products, only_json, ru
 from echelon.cli.scaling import Most, Only, OutFolder, ThreadCounts, bench_scaling, refuse_options
 from echelon.cli.sweep import EXAMPLES as SWEEP_EXAMPLES
 from echelon.cli.sweep import sweep
+from echelon.cli.thesis import bench_thesis
 from echelon.errors import InputError
 from echelon.launcher import launched_rank, launched_ranks
 
@@ -176,6 +177,7 @@ class Study(StrEnum):
     TERRAIN = "terrain"
     SCALING = "scaling"
     GROUPS = "groups"
+    THESIS = "thesis"
 
 
 RepresentationOption = Annotated[
@@ -443,7 +445,8 @@ def bench(
             "bicycle: whether one balances itself at the speeds at which it should; "
             "terrain: how fast the ground can be asked for its height; "
             "scaling: what a frame costs as crowds grow; "
-            "groups: how well they hold together, turn, and pass obstacles."
+            "groups: how well they hold together, turn, and pass obstacles; "
+            "thesis: what people do in the experiments of a thesis, beside its numbers."
         ),
     ],
     out: OutFolder = None,
@@ -463,6 +466,10 @@ def bench(
     if study is Study.GROUPS:
         refuse_options(study, {"most": most, "threads": threads})
         bench_groups(reporter, as_json, out, only, seeds)
+        return
+    if study is Study.THESIS:
+        refuse_options(study, {"most": most, "threads": threads, "seeds": seeds})
+        bench_thesis(reporter, as_json, out, only)
         return
     refuse_options(study, {"out": out, "only": only, "most": most, "threads": threads, "seeds": seeds})
     if study is Study.BICYCLE:

@@ -23,13 +23,14 @@ class Crowd(StrEnum):
 
 
 OutFolder = Annotated[
-    Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="scaling, groups: write tables and plots.")
+    Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="scaling, groups, thesis: write tables and plots.")
 ]
 Only = Annotated[
     list[str] | None,
     typer.Option(
         metavar="WORD",
-        help="scaling: hoppers or riders; groups: a group, problem or law (hopper-105, gap, orca), or several.",
+        help="scaling: hoppers or riders; groups: a group, problem or law (hopper-105, gap, orca), or several; "
+        "thesis: an experiment or a chapter's group (leap-command, balance).",
     ),
 ]
 Most = Annotated[int | None, typer.Option(min=1, metavar="N", help="scaling: no crowd larger than this.")]

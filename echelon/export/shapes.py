@@ -2,7 +2,7 @@
 
 Every mesh has one normal a point; edges that are to look sharp have their points twice. Faces wind counter-clockwise
 seen from outside. Poles of ellipsoids and capsules are triangles, the ends of cylinders one polygon each, the rest
-quadrilaterals: few faces, round silhouettes. A torus is quadrilaterals all round.
+quadrilaterals: few faces, round silhouettes. A torus is quadrilaterals all round. A mesh of a body's own is triangles.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from echelon.export.smooth_normals import smoothed
 from echelon.warp_kernels.model import Vec3, Visual, VisualShape
 
 SEGMENTS_ELLIPSOID = 14  # around; with 8 bands from pole to pole 196 triangles
@@ -93,7 +94,7 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 def visual_mesh(visual: Visual) -> Mesh:
     """Mesh of a visual in the frame of its link: the visual's position and orientation are applied [m]."""
-    unplaced = _shape_mesh(visual.shape, visual.size)
+    unplaced = _faceted(visual) if visual.shape == "mesh" else _shape_mesh(visual.shape, visual.size)
     rotation = rotation_matrix(visual.orientation)
     return Mesh(
         points=(unplaced.points @ rotation.T + np.asarray(visual.position)).astype(np.float32),
@@ -276,6 +277,10 @@ def _wheel(x: float, radius: float = WHEEL_RADIUS, half_width: float = 0.02, col
     """A disc in the bicycle's plane, standing on the ground at x [m]."""
     turned = (np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))
     return Visual("cylinder", (radius, half_width, 0.0), (x, 0.0, WHEEL_RADIUS), turned, color)
+
+
+def _faceted(visual: Visual) -> Mesh:
+    return _mesh(*smoothed(np.asarray(visual.points) * visual.size, np.asarray(visual.triangles)))
 
 
 # ---- shapes about their own centre -------------------------------------------------------------------------------

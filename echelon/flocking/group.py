@@ -1,7 +1,8 @@
 """The group layer of a scenario: the herd, the collie, and the referee, in one go a frame.
 
-    see, want   desired velocities of everybody, from the places and velocities of this frame and the collie's
+    see         the hash grid, and everybody's nearest neighbours in it
     referee     who is in the corral, who passed its gate, who collided, in this frame
+    want        desired velocities of everybody, from the places and velocities of this frame and the collie's
     collie      rides on to the next frame, as everybody else is about to
 
 The launches of a frame are captured once in graphs and replayed, a large crowd's in slices over threads
@@ -10,7 +11,7 @@ The launches of a frame are captured once in graphs and replayed, a large crowd'
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -71,6 +72,7 @@ class Group:
         velocities: wp.array[wp.vec3],
         desired_out: wp.array[wp.vec2],
         fallen: wp.array[wp.int32] | None = None,
+        between: Callable[[], None] | None = None,
     ) -> None:
         """See and want in one frame, and take the collie to the next.
 
@@ -82,11 +84,12 @@ class Group:
             velocities: World velocities [m/s], shape [agents].
             desired_out: Gets the desired velocities [m/s], shape [agents].
             fallen: 1 for those who have fallen, shape [agents]; None where nobody has.
+            between: Called when everything is seen and nothing wanted yet: for a stopwatch.
         """
         down = self._nobody_fell if fallen is None else fallen
         self.set_frame(frame)
         arrays = (positions, velocities, down, desired_out)
-        self._replay(arrays, partial(self.phases, *arrays), self.share.team)
+        self._replay(arrays, partial(self.stages, *arrays), self.share.team, between)
 
     def enqueue(
         self,
@@ -96,24 +99,26 @@ class Group:
         desired_out: wp.array[wp.vec2],
     ) -> None:
         """Launch what `step` replays, after `set_frame`, for a capture of one's own; arguments as there."""
-        for phase in self.phases(positions, velocities, fallen, desired_out):
-            launch_all(phase)
+        for stage in self.stages(positions, velocities, fallen, desired_out):
+            for phase in stage:
+                launch_all(phase)
 
-    def phases(
+    def stages(
         self,
         positions: wp.array[wp.vec3],
         velocities: wp.array[wp.vec3],
         fallen: wp.array[wp.int32],
         desired_out: wp.array[wp.vec2],
-    ) -> list[Phase]:
-        """What a frame launches, in slices for the threads of `share`; arguments as for `step`."""
+    ) -> tuple[list[Phase], list[Phase]]:
+        """What a frame launches to see and to want, in slices for the threads of `share`; arguments as for `step`."""
         herd, share = self.herd, self.share
         mind, wanting = herd.want(self._frame, velocities, fallen, desired_out, share)
         begin, looking, end = self.referee.count(self._frame, herd.arrays.table, share)
-        phases = [*herd.look(positions, fallen, share), mind, begin, side_by_side(wanting, looking), end]
+        seeing = [*herd.look(positions, fallen, share), begin, side_by_side(herd.see(fallen, share), looking), end]
+        deciding = [mind, wanting]
         if self.collie is not None:
-            phases.append([partial(self.collie.enqueue, self._frame, herd.arrays)])
-        return phases
+            deciding.append([partial(self.collie.enqueue, self._frame, herd.arrays)])
+        return seeing, deciding
 
     def look(self, frame: int, positions: wp.array[wp.vec3], fallen: wp.array[wp.int32] | None = None) -> None:
         """Let the referee count a frame after which there is no other; arguments as for `step`."""

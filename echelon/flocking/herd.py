@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from echelon.flocking.commanded import command_constant, command_random
-from echelon.flocking.herding import BLOCK, HerdMind, HerdRules, Seen, enter_herd, find_farthest, make_up_mind, want
+from echelon.flocking.herding import BLOCK, HerdMind, HerdRules, Seen, enter_herd, find_farthest, look_round, make_up_mind, want
 from echelon.flocking.marching import follow_march, march_of
 from echelon.flocking.perception import pen_of
 from echelon.scenario import HerdSettings, WorldSettings
@@ -25,6 +25,9 @@ from echelon.warp_kernels.replay import Phase, Share, launch_all, side_by_side, 
 CELL_PER_SPACING = 0.7  # size of the grid's cells: a settled herd stands at about 0.7 of the desired separation
 RADIUS_PER_SPACING = 0.5  # radius of a herd of n, over spacing times the square root of n, with some room
 ABSENT = (math.inf, math.inf, 0.0, 0.0)  # the place and velocity of a user who is not there
+
+SEEING_MODES = ("herd", "march")
+"""Modes in which what an agent wants depends on its neighbours."""
 
 _COPIED = (
     *("spacing", "visibility", "gain", "max_speed", "max_change", "flee_distance", "flee_gain", "wander_gain"),
@@ -123,7 +126,7 @@ class Herd:
             desired_out: Gets the desired velocities [m/s], shape [agents].
         """
         share = Share.whole(self.agent_count)
-        for phase in self.look(positions, fallen, share):
+        for phase in [*self.look(positions, fallen, share), self.see(fallen, share)]:
             launch_all(phase)
         for phase in self.want(frame, velocities, fallen, desired_out, share):
             launch_all(phase)
@@ -143,6 +146,16 @@ class Herd:
 
         return [[partial(empty_cells, a.table)], share.everybody(enter, BLOCK)]
 
+    def see(self, fallen: wp.array[wp.int32], share: Share) -> Phase:
+        """The phase that follows `look`: the neighbours of each; arguments as for `enqueue`."""
+        a = self.arrays
+
+        def look_round_slice(first: int, count: int) -> None:
+            inputs = [first, self._settings.visibility, fallen, a.table]
+            wp.launch(look_round, count, inputs=inputs, outputs=[a.seen], device=self._device)
+
+        return share.own(look_round_slice) if self._settings.mode in SEEING_MODES else []
+
     def want(
         self,
         frame: wp.array[wp.int32],
@@ -151,7 +164,7 @@ class Herd:
         desired_out: wp.array[wp.vec2],
         share: Share,
     ) -> list[Phase]:
-        """The phases that follow `look`: the herd's mind, and what each wants; arguments as for `enqueue`."""
+        """The phases that follow `see`: the herd's mind, and what each wants; arguments as for `enqueue`."""
         a, rules, device, settings = self.arrays, self.rules, self._device, self._settings
 
         def mind() -> None:
@@ -241,6 +254,7 @@ def _herd_arrays(settings: HerdSettings, agent_count: int, device: wp.DeviceLike
     blocks = math.ceil(agent_count / BLOCK)
     rows = (agent_count, min(settings.neighbours, max(1, agent_count - 1)))
     seen = Seen()
+    seen.found = wp.zeros(agent_count, dtype=wp.int32, device=device)
     seen.indices = wp.zeros(rows, dtype=wp.int32, device=device)
     seen.distances = wp.zeros(rows, dtype=wp.float32, device=device)
     seen.towards = wp.zeros(rows, dtype=wp.vec2, device=device)

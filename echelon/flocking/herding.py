@@ -109,12 +109,14 @@ class Seen:
     """The neighbours of each, sorted by (distance, index); what lies beyond those found is stale.
 
     Attributes:
+        found: How many they are, shape [agents]; none where an agent does not take part.
         indices: Who they are, shape [agents, neighbours].
         distances: How far away [m], shape [agents, neighbours].
         towards: Unit vectors toward them, shape [agents, neighbours].
         fastest: Greatest speed toward them [m/s], shape [agents, neighbours].
     """
 
+    found: wp.array[wp.int32]
     indices: wp.array2d[wp.int32]
     distances: wp.array2d[wp.float32]
     towards: wp.array2d[wp.vec2]
@@ -157,6 +159,24 @@ def enter_herd(
             if is_member(member, place, fallen_in):
                 total += wp.vec3(place[0], place[1], 1.0)
         sums_out[agent // BLOCK] = total
+
+
+@wp.kernel
+def look_round(
+    first: int,
+    # model
+    visibility: float,
+    # state in
+    fallen_in: wp.array[wp.int32],
+    table: CellTable,
+    # out
+    seen: Seen,
+):
+    """Find the nearest neighbours of each, up to a distance [m]."""
+    agent = first + wp.tid()
+    seen.found[agent] = 0
+    if is_member(agent, table.places[agent], fallen_in):
+        seen.found[agent] = nearest_neighbours(agent, visibility, table, seen.indices, seen.distances)
 
 
 # ---- make up the herd's mind -----------------------------------------------------------------------------------------
@@ -358,7 +378,7 @@ def want(
     intended_out: wp.array[wp.vec2],
     desired_out: wp.array[wp.vec2],
 ):
-    """Look round and decide on a desired velocity."""
+    """Decide on a desired velocity, in view of the neighbours that were seen."""
     agent = first + wp.tid()
     place = table.places[agent]
     if not is_member(agent, place, fallen_in):
@@ -366,7 +386,7 @@ def want(
         intended_out[agent] = wp.vec2(0.0, 0.0)
         return
     user = wp.vec2(user_in[0][0], user_in[0][1])
-    found = nearest_neighbours(agent, rules.visibility, table, seen.indices, seen.distances)
+    found = seen.found[agent]
     herding = regard_neighbours(agent, found, velocities_in, known_in, fallen_in, rules, pen, table, seen)
     wanted = shortened(0.5 * (herding + shared_velocity(place, user, rules, pen, mind)), rules.max_speed)
 

@@ -43,7 +43,7 @@ from echelon.flocking.herding import Seen, is_member, limit_approach_to_neighbou
 from echelon.flocking.perception import limit_approach_to_walls
 from echelon.scenario import HerdSettings, WorldSettings
 from echelon.terrain.walls import WallGrid, closest_on_wall, infield_walls, segments, walls_of_cell
-from echelon.warp_kernels.neighbours import CellTable, nearest_neighbours
+from echelon.warp_kernels.neighbours import CellTable
 
 wp.set_module_options({"enable_backward": False})
 
@@ -410,7 +410,7 @@ def follow_march(
     intended_out: wp.array[wp.vec2],
     desired_out: wp.array[wp.vec2],
 ):
-    """Look round and decide on a desired velocity."""
+    """Decide on a desired velocity, in view of the neighbours that were seen."""
     agent = first + wp.tid()
     rules = march.rules
     place = table.places[agent]
@@ -418,7 +418,7 @@ def follow_march(
         desired_out[agent] = wp.vec2(0.0, 0.0)
         intended_out[agent] = wp.vec2(0.0, 0.0)
         return
-    found = nearest_neighbours(agent, rules.visibility, table, seen.indices, seen.distances)
+    found = seen.found[agent]
     ahead_by = wp.where(rules.law == BROGAN_HODGINS, 0.0, rules.lookahead)
     wanted = bent(place, planned(frame_in[0], march.plan), known_in[agent], march)
     if rules.law != ALONE:

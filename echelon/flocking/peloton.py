@@ -17,7 +17,7 @@ so all that follows is done rider by rider, in slices over threads (`echelon.war
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -177,6 +177,7 @@ class Peloton:
         velocities: wp.array[wp.vec3],
         commands_out: wp.array2d[wp.float32],
         fallen: wp.array[wp.int32] | None = None,
+        between: Callable[[], None] | None = None,
     ) -> None:
         """See and want in one frame, and take user and joggers to the next.
 
@@ -188,11 +189,12 @@ class Peloton:
             velocities: Of the same [m/s], shape [agents].
             commands_out: Gets velocity x, y [m/s], distance of the aim [m] and shelter, shape [agents, 4].
             fallen: 1 for those who have fallen, shape [agents]; None where nobody has.
+            between: Called when everything is seen and nothing wanted yet: for a stopwatch.
         """
         down = self._nobody_fell if fallen is None else fallen
         self.set_frame(frame)
         arrays: tuple[Any, ...] = (positions, velocities, down, commands_out)
-        self._replay(arrays, partial(self.phases, *arrays), self.share.team)
+        self._replay(arrays, partial(self.stages, *arrays), self.share.team, between)
 
     def enqueue(
         self,
@@ -202,17 +204,18 @@ class Peloton:
         commands_out: wp.array2d[wp.float32],
     ) -> None:
         """Launch what `step` replays, after `set_frame`, for a capture of one's own; arguments as there."""
-        for phase in self.phases(positions, velocities, fallen, commands_out):
-            launch_all(phase)
+        for stage in self.stages(positions, velocities, fallen, commands_out):
+            for phase in stage:
+                launch_all(phase)
 
-    def phases(
+    def stages(
         self,
         positions: wp.array[wp.vec3],
         velocities: wp.array[wp.vec3],
         fallen: wp.array[wp.int32],
         commands_out: wp.array2d[wp.float32],
-    ) -> list[Phase]:
-        """What a frame launches, in slices for the threads of `share`; arguments as for `step`."""
+    ) -> tuple[list[Phase], list[Phase]]:
+        """What a frame launches to see and to want, in slices for the threads of `share`; arguments as for `step`."""
         rules, path, riders, table = self.rules, self._data, self.riders, self._table
         seen, frame, share, device, rate = self._seen, self._frame, self.share, self._device, self._frame_rate
         user = self._nowhere if self.user is None else self.user.seen
@@ -227,9 +230,11 @@ class Peloton:
             inputs = [first, rules, path, positions, velocities, fallen, user, riders]
             wp.launch(road_riders.locate, count, inputs=inputs, outputs=[table], device=device)
 
-        def decide(first: int, count: int) -> None:
+        def see(first: int, count: int) -> None:
             inputs = [first, rules, path, riders, table]
             wp.launch(road_riders.see, count, inputs=inputs, outputs=[seen], device=device)
+
+        def decide(first: int, count: int) -> None:
             inputs = [first, rules, path, self._keys, self._by_distance, self._user_start, frame, finish_frame]
             wp.launch(grouping.group, count, inputs=[*inputs, seen, riders], device=device)
             if self._tactics_rules is not None:
@@ -242,17 +247,20 @@ class Peloton:
             wp.launch(road_following.command, count, inputs=inputs, outputs=[wish, commands_out], device=device)
 
         timing, judging, remembering = self.referee.phases(frame, rules, path, table, riders, self.obstacles, share)
-        phases = [
+        seeing = [
             [self._enqueue_obstacles],
             [partial(empty_cells, table)],
             share.everybody(locate),
+            share.own(see),
+        ]
+        deciding = [
             side_by_side(share.own(decide), judging),
             # After deciding: who has come to the finish rides out slowly from the next frame on.
             side_by_side(timing, remembering),
         ]
         if self.user is not None:
-            phases.append([partial(self.user.enqueue, rules, path, riders)])
-        return phases
+            deciding.append([partial(self.user.enqueue, rules, path, riders)])
+        return seeing, deciding
 
     def load(self) -> None:
         """Load the kernels, compiling those that nobody has compiled before."""

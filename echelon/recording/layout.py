@@ -20,7 +20,8 @@ number of ranks, and no rank writes all.
 Three properties, and why they hold:
 
 1. *Whatever the manifest counts is whole.* A chunk's files are written beside and renamed, then the manifest is. What
-   it does not count yet is nobody's business: a reader does not look, a writer that resumes removes it.
+   it does not count yet is nobody's business: a reader does not look, a writer that resumes removes it. The manifest
+   counts a chunk before a frame of the next is simulated, so that a run that is killed loses one chunk at the most.
 2. *The same run gives the same bytes, however often it was interrupted.* Nothing in the folder comes from a clock, a
    process or a path; every file is a function of the run alone.
 3. *Memory is bounded by the chunk*, for the writer and for the reader.
@@ -59,6 +60,8 @@ SHARD_AGENTS = 4096
 _CHUNK_SECONDS = 20
 _CHUNK_BYTES = 64 * 2**20
 _CHUNK_FRAMES = 8  # at the least: with fewer, states would take more room and time than frames
+_PIECE_BYTES = 2**21
+_PIECES = 2  # of a chunk at the least: the fewer are left to write at its end the better
 
 
 # ---- the arrays ----------------------------------------------------------------------------------------------------
@@ -224,6 +227,11 @@ def chunk_frames(
     return -(-frame_limit // -(-frame_limit // most))
 
 
+def piece_frames(frame_bytes: int, chunk_frames: int) -> int:
+    """Frames of a chunk that are handed to the disk at once: about 2 MiB, and at most a quarter of the chunk."""
+    return max(1, min(-(-chunk_frames // _PIECES), _PIECE_BYTES // frame_bytes))
+
+
 def estimate_bytes(
     frame_count: int,
     agent_count: int,
@@ -375,8 +383,18 @@ def replace_file(path: Path, data: Any, checksum: bytes = b"", length: int = 0) 
 def checksum(data: np.ndarray, length: int) -> bytes:
     """CRC-32C of ``data`` (uint8) followed by zeros up to ``length`` bytes, as zarr's codec stores it."""
     value = google_crc32c.value(data)  # type: ignore[arg-type]
-    for start in range(len(data), length, len(_ZEROS)):
-        value = google_crc32c.extend(value, _ZEROS[: length - start])  # type: ignore[arg-type]
+    return checksum_bytes(checksum_with_zeros(value, length - len(data)))
+
+
+def checksum_with_zeros(value: int, count: int) -> int:
+    """CRC-32C of bytes whose own is ``value``, followed by ``count`` zeros."""
+    for start in range(0, count, len(_ZEROS)):
+        value = google_crc32c.extend(value, _ZEROS[: count - start])  # type: ignore[arg-type]
+    return value
+
+
+def checksum_bytes(value: int) -> bytes:
+    """A CRC-32C as zarr's codec stores it."""
     return value.to_bytes(CHECKSUM_BYTES, "little")
 
 

@@ -1,22 +1,24 @@
-"""Writing a recording, a chunk at a time, so that a run killed at any moment can be gone on with.
+"""Writing a recording, so that a run killed at any moment can be gone on with and has lost one chunk at the most.
 
-The frame loop hands over a chunk and simulates the next while this one is written by a thread::
+The frame loop hands over a chunk in pieces, which a thread writes while the next frames are simulated::
 
     with RecordingWriter.create(path, ...) as writer:
-        buffers = writer.buffers(), writer.buffers()          # filled in turn
         while not finished:
-            state = ...                                       # before the chunk's first frame is advanced
-            frames = ...                                      # rows of buffers[turn]
-            writer.append(frames, state, events)
+            writer.begin_chunk(state)                         # before the chunk's first frame is advanced
+            while ...:
+                writer.extend(frames)                         # some more frames of it; returns at once
+            writer.end_chunk(events)                          # returns once the chunk is on disk, and counts
         writer.finish(summary)
+
+No frame is simulated before the chunk before it counts: that is the promise. It costs next to nothing, since at the end
+of a chunk all but its last piece is on disk (`chunk_files`).
 
 To go on with a recording, ``reopen`` it: it gives the state at the first frame of the last whole chunk. That chunk is
 simulated again, and what comes out is compared with what is there before anything is added: a program, or a machine,
 that would go on differently is found out.
 
 Where several ranks simulate, each has a writer, hands over its own agents, and writes shards of the crowd (`shards`).
-The first rank writes what is not of single agents, and the manifest, which counts a chunk once all have written it:
-they tell each other how many they have `written` once a frame, with what else they tell each other then.
+The first rank writes what is not of single agents, and the manifest, which counts a chunk once all have written it.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ import json
 import os
 import time
 import types
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -36,6 +39,7 @@ import numpy as np
 
 from echelon.errors import InputError
 from echelon.ranks import Ranks
+from echelon.recording.chunk_files import ComparedFile, GrowingFile
 from echelon.recording.layout import (
     EVENT_DTYPE,
     MANIFEST,
@@ -48,6 +52,7 @@ from echelon.recording.layout import (
     event_rows,
     pack_agent_state,
     pack_state,
+    piece_frames,
     read_chunk,
     replace_file,
     shard_agents,
@@ -81,10 +86,10 @@ class RecordingWriter:
     Attributes:
         path: Folder of the recording.
         manifest: What the recording is; its counts are those of the moment it was opened.
-        chunk_frames: Frames in each chunk but the last.
+        chunk_frames: Frames in each chunk but the last: the most that a run loses which is killed.
+        piece_frames: How many frames to hand over at once, so that each is soon on disk.
         frame_limit: The most frames that the run can have, the start pose included.
-        next_frame: First frame of the next chunk to append.
-        written: Chunks of which this rank has written its part.
+        next_frame: First frame of the next chunk.
         seconds: Time that writing has taken so far, in a thread of its own [s].
     """
 
@@ -96,21 +101,25 @@ class RecordingWriter:
         self.next_frame = max(manifest.chunk_count - 1, 0) * manifest.chunk_frames
         self._constant = manifest.constant_text()
         self._arrays = manifest_frame_arrays(manifest)
+        frame_bytes = sum(array.nbytes for array in self._arrays.values()) // manifest.chunk_frames
+        self.piece_frames = piece_frames(max(frame_bytes, 1), manifest.chunk_frames)
         self._events = event_array(manifest.event_rows)
         self._state_parts: tuple[StatePart, ...] = manifest.state
         self._described: dict[str, int] = {}  # length of each array as its zarr.json has it, where that is known
         self._ranks = ranks
         self._shards = Shards(ranks, manifest.agent_count, manifest.shard_agents)
         self._committed = manifest.chunk_count
-        self.written = self.next_frame // manifest.chunk_frames
+        self._safe_frames = manifest.frame_count
         self.seconds = 0.0
-        self._uncounted: dict[int, tuple[int, int]] = {}  # frames and events up to the end of a chunk, by its index
         self._event_count = 0
         self._event_tail = np.zeros((0, 4), np.int32)
         self._lock = held
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
-        self._writing: Future[None] | None = None
-        self._counting: Future[None] | None = None
+        self._writing: deque[Future[None]] = deque()
+        self._broken = False  # writing has failed: what is handed over is let go
+        self._begun = False  # a chunk
+        self._extended = 0  # frames of the present chunk that have been handed over
+        self._files: dict[tuple[str, int], GrowingFile | ComparedFile] = {}  # of it, by array and shard
         self._ended = False
 
     # ---- opening ---------------------------------------------------------------------------------------------------
@@ -235,60 +244,97 @@ class RecordingWriter:
         events: np.ndarray | None = None,
         agent_state: Mapping[str, np.ndarray] | None = None,
     ) -> None:
-        """Hand over the next chunk; returns as soon as the chunk before it is on disk. All ranks call it at once.
+        """A whole chunk at once; arguments and what is raised as for `begin_chunk`, `extend` and `end_chunk`."""
+        end = self.next_frame + len(frames["link_poses"])
+        _event_table(events, self.next_frame, end)
+        self.begin_chunk(state, agent_state)
+        self.extend(frames)
+        self.end_chunk(events)
 
-        The arrays belong to the writer until the next ``append``, ``finish`` or ``close`` has returned.
+    def begin_chunk(self, state: Mapping[str, np.ndarray], agent_state: Mapping[str, np.ndarray] | None = None) -> None:
+        """Begin the next chunk.
 
         Args:
-            frames: For each array of `buffers` the chunk's frames, shape [frames, ...]: ``chunk_frames`` of them, or
-                fewer in the last chunk of the run. Of agents, this rank's.
             state: The simulation state at the chunk's first frame, by name; the same names and shapes each time.
-                The same on all ranks.
-            events: What happened in these frames, `EVENT_DTYPE`, in any order; on each rank, to its own agents.
+                The same on all ranks. The arrays belong to the writer.
             agent_state: What there is of the state that has a row for each agent; of this rank's agents.
 
         Raises:
-            RecordingFailed: A chunk could not be written, or differs from the one that was there before.
-            ValueError: What was handed over does not have the shape that was agreed.
+            ValueError: The state does not have the shape that was agreed, or the run has come to its end.
         """
         if self._ended:
             raise ValueError("the last chunk of this recording has been appended")
-        count = len(frames["link_poses"])
-        if not 0 < count <= self.chunk_frames or self.next_frame + count > self.frame_limit:
-            raise ValueError(f"{count} frames do not fit: {self.chunk_frames} a chunk, {self.frame_limit} in all")
-        rows = {name: self._checked(layout, frames, count) for name, layout in self._arrays.items()}
-        table = _event_table(events, self.next_frame, self.next_frame + count)
         agents = agent_state or {}
         parts = state_parts(state, agents, self.manifest.agent_count)
         if not self._state_parts:
             self._state_parts = parts
         elif parts != self._state_parts:
             raise ValueError("the state does not have the names, types and shapes of the chunk before")
-        self._wait()
-        index = self.next_frame // self.chunk_frames
-        self.next_frame += count
-        self._ended = count < self.chunk_frames
-        self._writing = self._thread.submit(
-            self._write, index, self._rows_to_write(rows, agents), dict(state), self._gathered(table), self.next_frame
-        )
+        self._settle()
+        self._submit(self._begin, dict(state), self._agent_state_rows(agents))
+        self._begun = True
 
-    def count_written(self, written: int) -> None:
-        """Have the manifest count what all ranks have written; only the first rank's does.
+    def extend(self, frames: Mapping[str, np.ndarray]) -> None:
+        """Hand over the next frames of the chunk; returns at once. All ranks call it at once, with as many frames.
+
+        The arrays belong to the writer until `end_chunk` or `close` has returned.
 
         Args:
-            written: How many chunks each rank has `written`, at the least.
+            frames: For each array of `buffers` the frames, shape [frames, ...]; of agents, this rank's.
+
+        Raises:
+            RecordingFailed: What was handed over before could not be written, or differs from what was there.
+            ValueError: No chunk was begun, or the frames do not fit into it or do not have the shape that was agreed.
         """
-        if self._ranks.size == 1 or not self._ranks.is_first or not self._uncounted:
-            return
-        whole = [index for index in self._uncounted if index < written]
-        if whole:
-            counts = self._uncounted[max(whole)]
-            for index in whole:
-                del self._uncounted[index]
-            self._counting = self._thread.submit(self._commit, *counts)
+        count = len(frames["link_poses"])
+        room = min(self.chunk_frames, self.frame_limit - self.next_frame) - self._extended
+        if not 0 < count <= room:
+            raise ValueError(f"{count} frames do not fit: {self.chunk_frames} a chunk, {self.frame_limit} in all")
+        rows = {name: self._checked(layout, frames, count) for name, layout in self._arrays.items()}
+        if not self._begun:
+            raise ValueError("these frames are of no chunk; begin one first")
+        self._settle()
+        self._submit(self._add, self._rows_to_write(rows))
+        self._extended += count
+
+    def end_chunk(self, events: np.ndarray | None = None) -> None:
+        """The chunk is whole; returns once it is on disk and counts. All ranks call it at once.
+
+        Args:
+            events: What happened in its frames, `EVENT_DTYPE`, in any order; on each rank, to its own agents.
+
+        Raises:
+            RecordingFailed: The chunk could not be written, or differs from the one that was there before.
+            ValueError: No frame was handed over, or events are not of its frames.
+        """
+        if not self._extended:
+            raise ValueError("there are no frames in this chunk")
+        end = self.next_frame + self._extended
+        table = self._gathered(_event_table(events, self.next_frame, end))
+        self._settle(wait=True)
+        index = self.next_frame // self.chunk_frames
+        try:
+            for (name, _), file in self._files.items():
+                file.finish()
+                if isinstance(file, ComparedFile) and file.differs:
+                    raise self._different(name)
+            self._files = {}
+            self._ranks.barrier()  # the manifest counts what all have written
+            if self._ranks.is_first:
+                if index < self._committed:
+                    self._compare_events(table)
+                else:
+                    self._store_events(table)
+                    self._commit(end, self._event_count)
+        except OSError as error:
+            self._ended = True
+            raise self._failed(error) from None
+        self._safe_frames = max(self._safe_frames, end)
+        self._ended = self._extended < self.chunk_frames
+        self.next_frame, self._extended, self._begun = end, 0, False
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Wait for the last chunk and mark the recording as done.
+        """Mark the recording as done, after its last chunk.
 
         Args:
             summary: What the run reports, plain data; nothing in it may come from a clock.
@@ -296,7 +342,7 @@ class RecordingWriter:
         Raises:
             RecordingFailed: It could not be written.
         """
-        self._wait()
+        self._settle(wait=True)
         self._ranks.barrier()
         if self.next_frame < self.manifest.frame_count:
             raise ValueError(f"{self.next_frame} frames cannot replace the {self.manifest.frame_count} that there are")
@@ -313,12 +359,15 @@ class RecordingWriter:
         self._ranks.barrier()
 
     def close(self) -> None:
-        """Wait for the chunk that is being written, and let go of the folder; unfinished, it can be resumed."""
+        """Let go of the folder, and of what there is of a chunk that is not whole; unfinished, it can be resumed."""
         self._ended = True
         try:
-            self._wait()
+            self._settle(wait=True)
         finally:
             self._thread.shutdown()
+            for file in self._files.values():
+                file.discard()
+            self._files = {}
             if self._lock is not None:
                 os.close(self._lock)
                 self._lock = None
@@ -332,19 +381,23 @@ class RecordingWriter:
         self.close()
 
     # ---- from rank to rank -----------------------------------------------------------------------------------------
-    def _rows_to_write(
-        self, frames: Mapping[str, np.ndarray], agent_state: Mapping[str, np.ndarray]
-    ) -> dict[str, np.ndarray | Pieces]:
-        """What this rank writes of the frames, and of the states of agents: arrays of agents as pieces of shards."""
+    def _rows_to_write(self, frames: Mapping[str, np.ndarray]) -> dict[str, np.ndarray | Pieces]:
+        """What this rank writes of some frames: arrays of agents as pieces of shards."""
         agents = {
             name: np.asarray(array, self._arrays[name].dtype)
             for name, array in frames.items()
             if self._arrays[name].agents and self._arrays[name].nbytes
         }
-        if self._agent_states.nbytes:
-            agents[self._agent_states.name] = pack_agent_state(self._state_parts, agent_state, self._shards.count)
         others = {name: array for name, array in frames.items() if not self._arrays[name].agents}
         return {**(others if self._ranks.is_first else {}), **self._shards.collect(agents)}
+
+    def _agent_state_rows(self, agent_state: Mapping[str, np.ndarray]) -> Pieces:
+        """What this rank writes of the states of agents."""
+        layout = self._agent_states
+        if not layout.nbytes:
+            return []
+        rows = pack_agent_state(self._state_parts, agent_state, self._shards.count)
+        return self._shards.collect({layout.name: rows})[layout.name]
 
     def _gathered(self, table: np.ndarray) -> np.ndarray:
         """The events of all ranks, sorted, on the first."""
@@ -357,43 +410,54 @@ class RecordingWriter:
         return agent_state_array(self._state_parts, self.manifest.agent_count, self.manifest.shard_agents)
 
     # ---- in the thread ---------------------------------------------------------------------------------------------
-    def _write(
-        self,
-        index: int,
-        rows: dict[str, np.ndarray | Pieces],
-        state: dict[str, np.ndarray],
-        table: np.ndarray,
-        frame_end: int,
-    ) -> None:
-        """Write and commit one chunk, or compare it where it has been committed before."""
+    def _submit(self, job: Callable[..., None], *arguments: Any) -> None:
+        self._writing.append(self._thread.submit(self._do, job, *arguments))
+
+    def _do(self, job: Callable[..., None], *arguments: Any) -> None:
+        if self._broken:
+            return
         begun = time.perf_counter()
-        layouts = {layout.name: layout for layout in (*self._arrays.values(), self._agent_states)}
-        write = self._compare if index < self._committed else self._store
         try:
-            if index == 0:
-                (self.path / self._agent_states.name).mkdir(exist_ok=True)
-                if self._ranks.is_first:
-                    self._describe_states(-(-self.frame_limit // self.chunk_frames))
-            for name, array in rows.items():
-                if isinstance(array, np.ndarray):
-                    write(layouts[name], index, 0, array)
-                else:
-                    for shard in self._shards.owned:
-                        write(layouts[name], index, shard, self._shards.rows(array, shard))
-            if self._ranks.is_first:
-                write(state_array(self._state_parts), index, 0, pack_state(self._state_parts, state))
-                if index < self._committed:
-                    self._compare_events(table)
-                else:
-                    self._store_events(table)
-                    self._uncounted[index] = (frame_end, self._event_count)
-                    if self._ranks.size == 1:
-                        self._commit(*self._uncounted.pop(index))
-        except OSError as error:
-            raise self._failed(error) from None
-        self.written = index + 1
+            job(*arguments)
+        except BaseException:
+            self._broken = True
+            raise
         self.seconds += time.perf_counter() - begun
 
+    def _begin(self, state: dict[str, np.ndarray], agent_states: Pieces) -> None:
+        """Write the state at the first frame of a chunk, or compare it where it has been committed before."""
+        index = self.next_frame // self.chunk_frames
+        write = self._compare if index < self._committed else self._store
+        layout = self._agent_states
+        if index == 0:
+            (self.path / layout.name).mkdir(exist_ok=True)
+            if self._ranks.is_first:
+                self._describe_states(-(-self.frame_limit // self.chunk_frames))
+        for shard in self._shards.owned if layout.nbytes else ():
+            write(layout, index, shard, self._shards.rows(agent_states, shard))
+        if self._ranks.is_first:
+            write(state_array(self._state_parts), index, 0, pack_state(self._state_parts, state))
+        kind = ComparedFile if index < self._committed else GrowingFile
+        for layout in self._arrays.values():
+            own = self._shards.owned if layout.agents else range(1 if self._ranks.is_first else 0)
+            for shard in own if layout.nbytes else ():
+                place = self.path / layout.name / layout.chunk_name(index, shard)
+                self._files[layout.name, shard] = file = kind(place, layout.nbytes)
+                file.create()
+
+    def _add(self, rows: Mapping[str, np.ndarray | Pieces]) -> None:
+        """Write some frames of the present chunk."""
+        for name, array in rows.items():
+            layout = self._arrays[name]
+            if not layout.nbytes:
+                continue
+            if isinstance(array, np.ndarray):
+                self._files[name, 0].extend(_chunk_bytes(layout, array))
+            else:
+                for shard in self._shards.owned:
+                    self._files[name, shard].extend(_chunk_bytes(layout, self._shards.rows(array, shard)))
+
+    # ---- files -----------------------------------------------------------------------------------------------------
     def _store(self, layout: ArrayLayout, index: int, shard: int, array: np.ndarray) -> None:
         if layout.nbytes:
             data = _chunk_bytes(layout, array)
@@ -405,7 +469,7 @@ class RecordingWriter:
             with open(self.path / layout.name / layout.chunk_name(index, shard), "rb") as stored:
                 stored.seek(layout.nbytes)
                 if stored.read() != checksum(_chunk_bytes(layout, array), layout.nbytes):
-                    raise self._different(layout)
+                    raise self._different(layout.name)
 
     def _compare_events(self, table: np.ndarray) -> None:
         size = self._events.chunk[0]
@@ -418,7 +482,7 @@ class RecordingWriter:
                 read_chunk(self.path, self._events, first + start // size)[: len(part)], part
             )
         if not same:
-            raise self._different(self._events)
+            raise self._different(self._events.name)
         self._count_events(table)
 
     def _count_events(self, table: np.ndarray) -> None:
@@ -533,30 +597,28 @@ class RecordingWriter:
         """Shape of a row of an array as this rank has it: of its own agents."""
         return (self._shards.count, *layout.row[1:]) if layout.agents else layout.row
 
-    def _wait(self) -> None:
-        """Wait for the chunk that is being written, and raise what went wrong with it."""
-        waiting, self._writing, self._counting = (self._writing, self._counting), None, None
-        for job in waiting:
-            if job is not None:
-                try:
-                    job.result()
-                except OSError as error:
-                    self._ended = True
-                    raise self._failed(error) from None
-                except Exception:
-                    self._ended = True
-                    raise
+    def _settle(self, wait: bool = False) -> None:
+        """Raise what has gone wrong with what was handed over; ``wait`` until all of it has been written."""
+        while self._writing and (wait or self._writing[0].done()):
+            try:
+                self._writing.popleft().result()
+            except OSError as error:
+                self._ended = True
+                raise self._failed(error) from None
+            except Exception:
+                self._ended = True
+                raise
 
     def _failed(self, error: OSError) -> RecordingFailed:
         hint = "; free some space" if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", None)) else ""
         return RecordingFailed(
-            f"{self.path}: cannot be written ({error.strerror or error}){hint}; what was recorded before is safe, and "
-            "the run can be resumed"
+            f"{self.path}: cannot be written ({error.strerror or error}){hint}; its first {self._safe_frames} frames "
+            f"are safe (at most a chunk, {self.chunk_frames} frames, is lost), and the run can be resumed"
         )
 
-    def _different(self, layout: ArrayLayout) -> RecordingFailed:
+    def _different(self, name: str) -> RecordingFailed:
         return RecordingFailed(
-            f"{self.path}: {layout.name} came out differently than when this was recorded; it can be resumed only by "
+            f"{self.path}: {name} came out differently than when this was recorded; it can be resumed only by "
             "the version of Echelon, on the kind of processor, that began it"
         )
 
@@ -588,5 +650,8 @@ def _event_table(events: np.ndarray | None, first: int, end: int) -> np.ndarray:
 
 
 def _sorted(table: np.ndarray) -> np.ndarray:
-    """Rows of events by frame, substep, agent, kind."""
-    return table[np.lexsort(table.T[::-1])]
+    """Rows of events of one chunk by frame, substep, agent, kind."""
+    key = np.zeros(len(table), np.int64)  # one number to sort by is three times as fast as four
+    for column in table.T if len(table) else ():
+        key = key * (int(np.ptp(column)) + 1) + (column - column.min())
+    return table[np.argsort(key, kind="stable")]

@@ -16,8 +16,9 @@ try:
 except ImportError:  # Windows
     resource = None
 
-PHASES = ("see_want", "act", "exchange", "record", "write")
-"""See and want: the group layer. Act: bodies, and what becomes of the fallen. Exchange: with other ranks, waiting for
+PHASES = ("see", "want", "act", "exchange", "record", "write")
+"""See: the hash grid, the neighbours of each, collisions. Want: what everybody decides on, and the collie or the user.
+Act: bodies, contact, and what becomes of the fallen. Exchange: with other ranks, waiting for
 them included. Record: noting what happened, and handing it over a chunk at a time, waiting for the disk included.
 Write: in a thread of its own, beside the others."""
 

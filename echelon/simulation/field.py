@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -68,10 +68,10 @@ class Field:
     def public(self) -> dict[str, wp.array]:
         return {"intended": self.group.herd.arrays.intended}
 
-    def step(self, frame: int, engine: Engine) -> None:
+    def step(self, frame: int, engine: Engine, between: Callable[[], None] | None = None) -> None:
         if self._desired is None:
             self._desired = _first_commands(engine)
-        self.group.step(frame, engine.positions, engine.velocities, self._desired, engine.fallen)
+        self.group.step(frame, engine.positions, engine.velocities, self._desired, engine.fallen, between)
 
     def tallies(self) -> dict[str, wp.array]:
         return {}

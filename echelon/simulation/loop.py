@@ -5,8 +5,8 @@
 
 Characters meet only at frame boundaries, through what the group layer sees of them there (`scene`); within a frame
 each is alone with the ground beneath it and one kernel launch carries everybody across
-(`echelon.warp_kernels.frame`). What happened streams to a recording a chunk at a time, each chunk with the full state
-at its start, so that a run which is killed goes on to the same bytes.
+(`echelon.warp_kernels.frame`). What happened streams to a recording, in chunks with the full state at the start of
+each, so that a run which is killed goes on to the same bytes.
 
 Where several ranks simulate one crowd (`echelon.ranks`), each has some of the agents, and after acting all tell each
 other what others see of them: that is all that passes between them in a frame. What a scene does for everybody (the
@@ -21,6 +21,7 @@ import colorsys
 import hashlib
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +63,6 @@ class Simulation:
         measure_sums: Of each measure over the frames of these chunks, shape [agents, measures], of this rank's agents.
         ranks: Who simulate the crowd together.
         clock: Seconds spent in each phase so far: `clock.seconds`, by `echelon.simulation.cost.PHASES`.
-        note: A number that the other ranks are told with the next frame.
-        heard: The least of all ranks' notes, as of the last frame.
     """
 
     def __init__(
@@ -123,7 +122,7 @@ class Simulation:
         self.counts = dict.fromkeys(EVENT_NAMES, 0)
         self.measure_sums = np.zeros((count, len(self.measure_names)))
         self.clock = PhaseClock()
-        self.note = self.heard = 0
+        self._seen = partial(self.clock.lap, "see")
         public = {f"engine.{name}": array for name, array in self.engine.public.items()}
         public |= {f"scene.{name}": array for name, array in self.scene.public().items()}
         self._tell = Telling(self.ranks, crowd.count, public)
@@ -204,12 +203,12 @@ class Simulation:
             seen.events += self.fallen.step(self.frame)
         self.engine.advance(slot, observe_only=self.frame == 0)
         clock.lap("act")
-        self.heard = self._tell(self.note)
+        self._tell()
         clock.lap("exchange")
         self.scene.keep_actors(slot, seen)
         clock.lap("record")
-        self.scene.step(self.frame, self.engine)
-        clock.lap("see_want")
+        self.scene.step(self.frame, self.engine, self._seen)
+        clock.lap("want")
         self.scene.keep(self.frame, slot, seen)
         clock.lap("record")
         self.frame += 1
@@ -351,56 +350,64 @@ def resume(
 
 
 def _run(simulation: Simulation, writer: RecordingWriter, progress: Progress | None) -> None:
-    """From the present frame to the end, a chunk at a time; while one is written the next is simulated."""
+    """From the present frame to the end, a chunk at a time; what has been simulated is written meanwhile."""
     total = writer.frame_limit
     engine = simulation.engine
     length = min(writer.chunk_frames, total)
-    chunks = [ChunkArrays.allocate(length, engine.agent_count, engine.character, engine.device) for _ in range(2)]
-    turn = 0
+    chunk = ChunkArrays.allocate(length, engine.agent_count, engine.character, engine.device)
+    engine.bind(chunk)
     while simulation.frame < total and not simulation.finished:
         simulation.clock.start()
         first, frozen = simulation.frame, engine.frozen
-        state, agent_state = simulation.shared_state(), simulation.agent_state()
-        chunk, seen = chunks[turn], SceneFrames.allocate(length, simulation.scene, engine.agent_count)
-        engine.bind(chunk)
+        writer.begin_chunk(simulation.shared_state(), simulation.agent_state())
+        seen = SceneFrames.allocate(length, simulation.scene, engine.agent_count)
         simulation.clock.lap("record")
-        count = 0
-        while count < length and simulation.frame < total and not simulation.finished:
-            simulation.note = writer.written
+        count = given = 0
+        going_on = True
+        while going_on:
             simulation.advance(count, seen)
-            writer.count_written(simulation.heard)
             count += 1
             if progress is not None:
                 progress(simulation.frame, total)
+            going_on = count < length and simulation.frame < total and not simulation.finished
+            if count - given == writer.piece_frames or not going_on:
+                simulation.clock.start()
+                writer.extend(_frames(chunk, seen, slice(given, count), engine.character))
+                simulation.clock.lap("record")
+                given = count
         simulation.clock.start()
         events = _events(chunk, seen, engine, first, count, frozen)
         kinds = np.bincount(events["kind"], minlength=len(EVENT_NAMES))
         for kind, found in enumerate(simulation.ranks.sum(kinds)):
             simulation.counts[EVENT_NAMES[kind]] += int(found)
-        frames = _frames(chunk, seen, count, engine.character)
-        simulation.measure_sums += frames["measures"].sum(axis=0, dtype=np.float64)
-        writer.append(frames, state, events, agent_state)
+        measures = _measures(chunk, seen, slice(count), engine.character)
+        simulation.measure_sums += measures.sum(axis=0, dtype=np.float64)
+        writer.end_chunk(events)
         simulation.clock.lap("record")
-        turn = 1 - turn
     writer.finish(simulation.summary())
     simulation.clock.seconds["write"] = writer.seconds
 
 
-def _frames(chunk: ChunkArrays, seen: SceneFrames, count: int, character: Character) -> dict[str, np.ndarray]:
-    """The first ``count`` frames of a chunk under the names that the recording has for them."""
+def _frames(chunk: ChunkArrays, seen: SceneFrames, part: slice, character: Character) -> dict[str, np.ndarray]:
+    """Some frames of a chunk under the names that the recording has for them."""
     arrays = {
         "link_poses": chunk.poses,
         "origins": chunk.origins,
         "velocities": chunk.velocities,
         "phases": chunk.phases,
     }
-    frames = {name: array.numpy()[:count] for name, array in arrays.items()}
+    frames = {name: array[part].numpy() for name, array in arrays.items()}
     for name, array in (("contacts", chunk.contacts), ("fallen", chunk.fallen), ("frozen", chunk.frozen)):
-        frames[name] = array.numpy()[:count].view(np.bool_)
-    frames["desired_velocities"] = chunk.desired.numpy()[:count, :, :2]
-    own = chunk.measures.numpy()[:count, :, : len(character.records)]
-    frames["measures"] = np.concatenate([own, seen.measures[:count]], axis=2)
-    return frames | {"in_corral": seen.in_corral[:count], "actor_poses": seen.actor_poses[:count]}
+        frames[name] = array[part].numpy().view(np.bool_)
+    frames["desired_velocities"] = chunk.desired[part].numpy()[:, :, :2]
+    frames["measures"] = _measures(chunk, seen, part, character)
+    return frames | {"in_corral": seen.in_corral[part], "actor_poses": seen.actor_poses[part]}
+
+
+def _measures(chunk: ChunkArrays, seen: SceneFrames, part: slice, character: Character) -> np.ndarray:
+    """What is measured in some frames of a chunk, shape [frames, agents, measures]."""
+    own = chunk.measures[part].numpy()[:, :, : len(character.records)]
+    return np.concatenate([own, seen.measures[part]], axis=2)
 
 
 def _events(
@@ -409,22 +416,27 @@ def _events(
     """What happened in a chunk to an engine's agents, as the recording's table."""
     character = engine.character
     substeps = chunk.events.numpy()[:count, :, : len(character.events)]
-    frame, agent, event = np.nonzero(substeps >= 0)
+    frame, agent, event = _where(substeps >= 0)
     own = np.zeros(len(frame), EVENT_DTYPE)
     own["frame"], own["agent"], own["substep"] = frame + first, agent, substeps[frame, agent, event]
     own["kind"] = np.array([EVENT_NAMES.index(name) for name in character.events], np.uint8)[event]
     touches = chunk.touches.numpy()[:count]
-    frame, agent = np.nonzero(touches >= 0)
+    frame, agent = _where(touches >= 0)
     met = np.zeros(len(frame), EVENT_DTYPE)
     met["frame"], met["agent"], met["substep"] = frame + first, agent, touches[frame, agent]
     met["kind"] = EVENT_NAMES.index("contact")
-    frozen = chunk.frozen.numpy()[:count].astype(np.int8)
-    frame, agent = np.nonzero(np.diff(frozen, axis=0, prepend=frozen_before[None].astype(np.int8)) > 0)
+    frozen = chunk.frozen.numpy()[:count].view(np.bool_)
+    frame, agent = _where(frozen & ~np.concatenate([frozen_before[None], frozen[:-1]]))
     lost = np.zeros(len(frame), EVENT_DTYPE)
     lost["frame"], lost["agent"], lost["kind"] = frame + first, agent, EVENT_NAMES.index("nonfinite")
     found = np.concatenate([own, met, lost])
     found["agent"] += engine.first_agent
     return np.concatenate([found, np.array(seen.events, EVENT_DTYPE)])
+
+
+def _where(chosen: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Indices of what is true, along each dimension; several times as fast as `numpy.nonzero` where little is."""
+    return np.unravel_index(np.flatnonzero(chosen), chosen.shape)
 
 
 def colors(count: int) -> np.ndarray:

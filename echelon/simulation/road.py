@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -108,9 +108,9 @@ class Road:
         riders = self.peloton.riders
         return {"lane": riders.lane, "target": riders.target, "command_speed": riders.command_speed}
 
-    def step(self, frame: int, engine: Engine) -> None:
+    def step(self, frame: int, engine: Engine, between: Callable[[], None] | None = None) -> None:
         commands: Any = engine.command
-        self.peloton.step(frame, engine.positions, engine.velocities, commands, engine.fallen)
+        self.peloton.step(frame, engine.positions, engine.velocities, commands, engine.fallen, between)
         self._down = engine.fallen.numpy() != 0
 
     def tallies(self) -> dict[str, wp.array]:

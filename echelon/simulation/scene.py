@@ -5,7 +5,7 @@ There are two kinds: a `field` with a herd on it, and a `road` with riders.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -84,8 +84,14 @@ class Scene(Protocol):
         """
         ...
 
-    def step(self, frame: int, engine: Engine) -> None:
-        """See everybody in a frame, and tell the engine what they want until the next."""
+    def step(self, frame: int, engine: Engine, between: Callable[[], None] | None = None) -> None:
+        """See everybody in a frame, and tell the engine what they want until the next.
+
+        Args:
+            frame: Number of the frame.
+            engine: Theirs.
+            between: Called when everything is seen and nothing wanted yet: for a stopwatch.
+        """
         ...
 
     def keep(self, frame: int, slot: int, frames: SceneFrames) -> None:

@@ -32,15 +32,14 @@ class Telling:
         self._alone = ranks.size == 1
         self.bytes_per_agent = self._exchange.bytes_per_agent
 
-    def __call__(self, note: int = 0) -> int:
-        """Once a frame; ``note`` is told along, and the least of all ranks' is returned."""
+    def __call__(self) -> None:
+        """Once a frame."""
         if self._alone:
-            return note
+            return
         for array, copy in zip(self._arrays, self._copies, strict=True):
             if copy is not None:
                 np.copyto(copy, array.numpy())
-        heard = self._exchange(note)
+        self._exchange()
         for array, copy in zip(self._arrays, self._copies, strict=True):
             if copy is not None:
                 array.assign(copy)
-        return min(heard)

@@ -272,15 +272,22 @@ class Replay:
             device: Where.
         """
         self._modules, self._device = modules, device
-        self._kept: dict[tuple[Any, ...], tuple[Graphs, tuple[wp.array, ...]]] = {}
+        self._kept: dict[tuple[Any, ...], tuple[list[Graphs], tuple[wp.array, ...]]] = {}
 
-    def __call__(self, arrays: tuple[wp.array, ...], phases: Callable[[], Sequence[Phase]], team: Team) -> None:
+    def __call__(
+        self,
+        arrays: tuple[wp.array, ...],
+        stages: Callable[[], Sequence[Sequence[Phase]]],
+        team: Team,
+        between: Callable[[], None] | None = None,
+    ) -> None:
         """Launch one frame.
 
         Args:
             arrays: What its launches take that may be another the next time.
-            phases: Gives them; called only where these arrays are new.
+            stages: Gives the phases of each stage; called only where these arrays are new.
             team: Who carries them out.
+            between: Called after each stage but the last.
         """
         key = tuple(array.ptr for array in arrays)
         if key not in self._kept:
@@ -288,8 +295,13 @@ class Replay:
                 self._kept.clear()
             self.load()
             # The arrays are kept: their addresses stay theirs.
-            self._kept[key] = (Graphs(phases(), self._device), arrays)
-        self._kept[key][0].replay(team)
+            self._kept[key] = ([Graphs(phases, self._device) for phases in stages()], arrays)
+        first, *rest = self._kept[key][0]
+        first.replay(team)
+        for graphs in rest:
+            if between is not None:
+                between()
+            graphs.replay(team)
 
     def load(self) -> None:
         """Load the modules, compiling those that nobody has compiled before."""
