@@ -33,7 +33,7 @@ class Run(Recording):
     def export(
         self,
         path: str | PathLike[str],
-        representation: Literal["rig", "skel", "points"] = "rig",
+        representation: Literal["auto", "rig", "skel", "points"] = "auto",
         *,
         progress: Progress | None = None,
     ) -> Path:
@@ -41,7 +41,8 @@ class Run(Recording):
 
         Args:
             path: A .usd, .usdc or .usda file.
-            representation: "rig" animates a transform a link, "skel" is UsdSkel, "points" a PointInstancer a link.
+            representation: "rig" animates a transform a link, "skel" is UsdSkel, "points" a PointInstancer a link;
+                "auto" is "rig" for up to 150 agents, "points" for more.
             progress: Called with (parts done, parts in all).
 
         Raises:

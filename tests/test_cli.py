@@ -382,7 +382,7 @@ def test_resume(engine: ModuleType, here: Path, said: Said) -> None:
     engine.resume = going_on  # type: ignore[attr-defined]
     assert cli.run(["resume", "run", "--out", "herd.usd"]) == 0
     out, err = said()
-    assert "herd: going on after 20 frames of at most 61" in err
+    assert "herd: going on after 20 frames of at most 61; when it was interrupted at most a chunk, 10 frames" in err
     assert re.search(r"stage +herd\.usd", out)
     assert "finished (61 frames); nothing to resume" in refused(said, 2, "resume", "run")
 
@@ -393,6 +393,25 @@ def recorded(here: Path) -> str:
     scenario = Scenario.load("herd", ["seconds=1", "crowd.count=2"])
     stand_in(scenario, recording=here / "run", threads=None, progress=lambda *_: None)
     return "run"
+
+
+@pytest.mark.parametrize(("count", "chosen"), [(2, "rig"), (150, "rig"), (151, "points")])
+def test_the_size_of_the_crowd_chooses_the_representation(
+    count: int, chosen: str, engine: ModuleType, here: Path, said: Said
+) -> None:
+    """A line says what was chosen, and how to choose otherwise; who chooses gets that, and no line."""
+    wide = ["--set", "world.ground=plane", "--agents", str(count), "--seconds", "0.2", "--out", "a.usda"]
+    assert cli.run(["simulate", "herd", *wide]) == 0
+    line = f"a.usda: {count} agents as {chosen}; --representation takes "
+    assert said()[1].count(line) == 1
+    assert cli.run(["export", "a.recording", "--out", "b.usda"]) == 0
+    assert f"b.usda: {count} agents as {chosen}; --representation takes " in said()[1]
+    assert ("PointInstancer" in (here / "a.usda").read_text()) == (chosen == "points")
+    assert (here / "a.usda").read_bytes() == (here / "b.usda").read_bytes()
+    other = "rig" if chosen == "points" else "points"
+    assert cli.run(["export", "a.recording", "--out", "c.usda", "--representation", other]) == 0
+    assert "--representation" not in said()[1]
+    assert ("PointInstancer" in (here / "c.usda").read_text()) == (other == "points")
 
 
 def test_export(recorded: str, here: Path, said: Said) -> None:

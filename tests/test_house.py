@@ -28,9 +28,10 @@ ALLOWED: dict[str, set[str]] = {
     "simulation": GROUND | MIDDLE,
     "runs": GROUND | MIDDLE | {"simulation"},
     "sweeping": GROUND | MIDDLE | {"simulation"},
+    "tuning": GROUND | MIDDLE | {"simulation"},
     "benchmarks": GROUND | MIDDLE | {"simulation"},
     "__main__": {"cli"},
-    "cli": GROUND | MIDDLE | {"simulation", "runs", "sweeping", "benchmarks"},
+    "cli": GROUND | MIDDLE | {"simulation", "runs", "sweeping", "tuning", "benchmarks"},
 }
 
 

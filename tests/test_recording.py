@@ -379,9 +379,8 @@ def test_resumed_events_that_differ_are_found_out(tmp_path: Path) -> None:
             events += walk.record(row, frames)
         table = np.array(events, EVENT_DTYPE)
         table["agent"][-1] += change == "other"
-        with writer:
-            with pytest.raises(RecordingFailed, match="events came out differently"):
-                writer.append(frames, state, table[: -1 if change == "fewer" else None])
+        with writer, pytest.raises(RecordingFailed, match="events came out differently"):
+            writer.append(frames, state, table[: -1 if change == "fewer" else None])
 
 
 def interrupted(path: Path, after: int = 3) -> None:

@@ -129,7 +129,17 @@ MALFORMED: list[tuple[str, str | bytes, str]] = [
     ("jitter that overlaps", "[crowd]\ncount = 105\nstart_jitter = 5.0", "jitter of 5 m"),
     ("place outside", "[crowd]\npositions = [[60, 0]]", "outside the infield"),
     ("pattern outside", "[crowd]\nstart_center = [0, 100]", "outside the infield"),
-    ("crowd larger than the field", "[crowd]\ncount = 2000", "inside every fence"),
+    (
+        "crowd larger than the field",
+        "[crowd]\ncount = 2000",
+        "across a fence; about 453 fit: lower crowd.count or crowd.start_spacing (2.5 m), or raise world.half_width "
+        "and world.half_length to 60 m",
+    ),
+    (
+        "more than a corral leaves room for",
+        "[world.corral]\n[crowd]\ncount = 700",
+        "or move crowd.start_center or the fences",
+    ),
     ("place across a fence", "[world.corral]\n[crowd]\npositions = [[30, 0]]", "across a fence"),
     ("count of places", "[crowd]\ncount = 3\npositions = [[0, 0]]", "must be the number of positions, 1"),
     ("collie outside", "[collie]\nstart = [-60, 0]", "collie.start"),
@@ -151,6 +161,15 @@ def refused(file: Path, expected: str = "", overrides: tuple[str, ...] = ()) -> 
     assert len(text) - len(str(file)) < 640
     assert str(file) in text
     assert expected in text
+
+
+def test_a_crowd_fits_where_the_message_says() -> None:
+    """The number it gives fits, one more does not; and so does everybody in the field that it gives."""
+    assert Scenario.load("herd", ["crowd.count=453"]).crowd.count == 453
+    with pytest.raises(InputError, match="about 453 fit"):
+        Scenario.load("herd", ["crowd.count=454"])
+    wide = ["world.half_width=60", "world.half_length=60"]
+    assert Scenario.load("herd", ["crowd.count=2000", *wide]).crowd.count == 2000
 
 
 @pytest.mark.parametrize(("text", "expected"), [case[1:] for case in MALFORMED], ids=[case[0] for case in MALFORMED])

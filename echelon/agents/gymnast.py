@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -43,13 +44,15 @@ from echelon.agents.gymnast_channels import (
     SPINE,
     SPINE_JOINTS,
     JointAxis,
+    shoulder_orientation,
 )
+from echelon.agents.gymnast_posture import channels_of
 from echelon.warp_kernels.character import NO_EVENT, Population, View
 from echelon.warp_kernels.contact import JointForces
 from echelon.warp_kernels.reference import Body
-from echelon.warp_kernels.scripts import PATH_PARTS, ScriptLayout, path_now
+from echelon.warp_kernels.scripts import CAPTURED, PATH_PARTS, ScriptLayout, path_now
 from echelon.warp_kernels.spatial import Vector, add, apply, cross, scale
-from echelon.warp_kernels.trace import asin, atan2, clamp, logical_not, maximum, minimum, select, sincos
+from echelon.warp_kernels.trace import asin, atan2, clamp, logical_not, maximum, minimum, select, sincos, sqrt
 
 GAINS: Mapping[str, tuple[float, float]] = {
     "hip": (2075.0, 150.0),
@@ -107,6 +110,8 @@ SETTINGS: Mapping[str, float] = {
     "push_x": 0.0,
     "push_y": 0.0,
     "fall_tilt": STANDING_TILT,
+    "ahead_height": 0.0,
+    "ahead_inertia": 20.0,
 }
 """What a row sets, and what holds where it does not. `balance`, `flat`, `upright` and `placement` are shares from 0
 (off) to 1; `com_x`, `com_y` are where the centre of mass should be from the middle of the feet [m]; `balance_kp*`
@@ -115,19 +120,25 @@ SETTINGS: Mapping[str, float] = {
 6.1, the feet should be `placement_x` + `placement_per_speed` v + `placement_per_speed_squared` v |v| ahead of the
 centre of mass [m], and are moved there while the cosine of the pelvis's tilt is above `placement_upright`;
 `push_x`, `push_y` are a force on the sternum, forward and to the left [N];
-`fall_tilt` is how far the pelvis may tilt while a foot is loaded [rad]."""
+`fall_tilt` is how far the pelvis may tilt while a foot is loaded [rad]; `ahead_height` [m] and `ahead_inertia`
+[kg m^2] are the height of the centre of mass over the ground until which, and the inertia with which,
+`somersault_ahead` looks ahead."""
 
 MEASURES: tuple[str, ...] = (
     "row_age", "time", "foot_force", "hand_force", "unloaded", "hands_unloaded", "foot_clearance", "hand_clearance",
     "com_x", "com_y", "com_height", "vx", "vy", "vz", "pitch", "pitch_rate", "lean", "upright", "somersault", "twist",
     "momentum_x", "momentum_y", "momentum_z", "hip", "knee", "knee_rate", "knee_rate_share", "feet_x", "touchdowns",
+    "time_ahead", "somersault_ahead", "reaction",
 )  # fmt: skip
 """What clauses of scripts may ask about: time in the row and since the start [s]; forces on feet and hands [N], and how
 long they have felt none [s]; how far the lowest of them is from the ground [m]; the centre of mass from the middle of
 the feet and over the ground [m] and its velocity [m/s]; pitch, its rate and sideways lean of the pelvis [rad], [rad/s],
-the cosine of its tilt; somersault and twist since the start [rad], forward and to the left; angular momentum about the
-centre of mass [kg m^2/s], about axes forward, left and up; mean hip and knee angle [rad], knee rate [rad/s] and as a
-share of the greatest in this row; the feet from the centre of mass [m]; how often the feet came down."""
+the cosine of its tilt; somersault and twist since the start [rad], forward and to the left, which are angles of the
+pelvis about y and z with its lean between them; angular momentum about the centre of mass [kg m^2/s], about axes
+forward, left and up; mean hip and knee angle [rad], knee rate [rad/s] and as a share of the greatest in this row; the
+feet from the centre of mass [m]; how often the feet came down; in flight, how long until the centre of mass is down at
+`ahead_height` [s], and what the somersault will be then with `ahead_inertia` from now on [rad]; the vertical force of
+the ground on the whole body, mean of the last tick [N], which is what the body's momentum tells of."""
 
 FOOT_LINKS = ("foot", "toes")
 HAND_LINKS = ("hand",)
@@ -147,14 +158,15 @@ class Gymnast:
     commands: tuple[str, ...] = ()
     events: tuple[str, ...] = ("touchdown", "liftoff", "fall")
     records: tuple[str, ...] = (
-        "row", "missed", "foot_force", "hand_force", "com_height", "vx", "vy", "vz", "somersault", "twist",
-        "momentum_x", "momentum_y", "momentum_z", "peak_force",
+        "row", "arrivals", "missed", *CAPTURED, "foot_force", "hand_force", "com_height", "vx", "vy", "vz",
+        "somersault", "twist", "momentum_x", "momentum_y", "momentum_z", "peak_force",
     )  # fmt: skip
     phase_names: tuple[str, ...] = ("standing", "crouch", "push", "flight", "tumble", "landing", "hands", "fallen")
     steps_per_second: int = 1200
     steps_per_tick: int = 4
     script = ScriptLayout(CHANNELS, SETTINGS, MEASURES, resets=("knee_rate_peak", "peak_force"))
     parameters: Mapping[str, float] = {"heading": 0.0, "strength": 1.0}
+    heights: tuple[str, ...] = ("ground",)
 
     def __init__(self, body: Body, name: str = "gymnast", gain: float = 1.0) -> None:
         self.name = name
@@ -171,7 +183,14 @@ class Gymnast:
         kept: dict[str, float] = {"phase": 0.0, "fallen": 0.0, "loaded": 1.0}
         kept |= {"touchdown": NO_EVENT, "liftoff": NO_EVENT, "fall": NO_EVENT}
         kept |= {name: 0.0 for name in MEASURES}
-        kept |= {"ground": 0.0, "knee_rate_peak": 0.0, "peak_force": 0.0, "lying": 0.0, "last_pitch": 0.0}
+        kept |= {
+            "ground": 0.0,
+            "knee_rate_peak": 0.0,
+            "peak_force": 0.0,
+            "lying": 0.0,
+            "last_pitch": 0.0,
+            "last_twist": 0.0,
+        }
         # Over the whole run, for those who judge it.
         kept |= {"highest": 0.0, "hardest": 0.0}
         kept |= self.script.memory()
@@ -188,8 +207,8 @@ class Gymnast:
         bits = np.random.Philox(key=seed).random_raw(count * 2).reshape(count, 2)
         uniform = (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
         normal = np.sqrt(-2.0 * np.log(1.0 - uniform[:, 0])) * np.cos(2.0 * math.pi * uniform[:, 1])
-        q = standing_q(self.body, arms=0.5 * math.pi - ARMS_SPREAD)
-        posture = self.posture(q) | {f"{side}_shoulder_spread": ARMS_SPREAD for side in SIDES}
+        q = self._at_ease
+        posture = channels_of(self.body, q) | {f"{side}_shoulder_spread": ARMS_SPREAD for side in SIDES}
         return Population(
             q=np.tile(q, (count, 1)),
             u=np.zeros((count, self.body.u_count)),
@@ -197,14 +216,10 @@ class Gymnast:
             memory=self.remembering({channel: np.full(count, value) for channel, value in posture.items()}),
         )
 
-    def posture(self, q: np.ndarray) -> dict[str, float]:
-        """Channels of the limbs at generalised positions q, shape [q_count]; zero those that are not one axis each."""
-        channels = dict.fromkeys(CHANNELS, 0.0)
-        for side in SIDES:
-            for name, joint in LIMBS.items():
-                sign = joint.sign * (joint.mirror if side == "right" else 1.0)
-                channels[f"{side}_{name}"] = sign * float(q[self._coordinate(joint, side)])
-        return channels
+    @cached_property
+    def _at_ease(self) -> np.ndarray:
+        """Generalised positions of one who stands with the arms hanging, shape [q_count]."""
+        return standing_q(self.body, arms=0.5 * math.pi - ARMS_SPREAD)
 
     @staticmethod
     def remembering(channels: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -253,6 +268,12 @@ class Gymnast:
         memory["feet_x"] = middle[0] - forward[0]
         memory["com_height"] = center[2] - memory["ground"]
         memory["highest"] = maximum(memory["highest"], memory["com_height"])
+        # By what the body's momentum gained, not by what contacts ask for before their dampers give way (see `contact`):
+        # a foot of 1 kg that stops within a substep asks for much more than the ground ever carries.
+        gained = (velocity[2] - memory["vz"]) * (1.0 / view.tick)
+        memory["reaction"] = select(memory["time"] > 0.0, self.body.mass * (gained + self.body.gravity), 0.0)
+        memory["peak_force"] = maximum(memory["peak_force"], memory["reaction"])
+        memory["hardest"] = maximum(memory["hardest"], memory["reaction"])
         memory["vx"], memory["vy"], memory["vz"] = facing(velocity)
         memory["momentum_x"], memory["momentum_y"], memory["momentum_z"] = facing(momentum)
         self._measure_pelvis(view, facing)
@@ -286,16 +307,28 @@ class Gymnast:
         rotation, _ = view.kin.world(0)
         up = facing([rotation[i][2] for i in range(3)])
         pitch = atan2(up[0], up[2])
-        turn = pitch - memory["last_pitch"]
-        turn = select(math.pi < turn, turn - 2.0 * math.pi, select(turn < -math.pi, turn + 2.0 * math.pi, turn))
-        memory["somersault"] = memory["somersault"] + turn
+        memory["somersault"] = memory["somersault"] + _shorter_way(pitch - memory["last_pitch"])
         memory["last_pitch"] = pitch
         memory["pitch"] = pitch
         memory["lean"] = asin(clamp(up[1], -1.0, 1.0))
         memory["upright"] = up[2]
         spin = facing(apply(rotation, view.kin.omega[0]))
         memory["pitch_rate"] = spin[1]
-        memory["twist"] = memory["twist"] + view.tick * view.kin.omega[0][2]
+        # Somersault, lean and twist are angles about y, then x, then z: how fast the body turns about its long axis is
+        # not how fast it twists while it somersaults tilted.
+        forwards, sideways = (facing([rotation[i][axis] for i in range(3)])[1] for axis in range(2))
+        around = atan2(forwards, sideways)
+        memory["twist"] = memory["twist"] + _shorter_way(around - memory["last_twist"])
+        memory["last_twist"] = around
+        self._look_ahead(memory)
+
+    def _look_ahead(self, memory: dict[str, Any]) -> None:
+        """How long the fall still takes, and how far the body will have turned by then."""
+        speed, height = memory["vz"], memory["com_height"] - memory["row.ahead_height"]
+        root = sqrt(maximum(speed * speed + 2.0 * self.body.gravity * height, 0.0))
+        memory["time_ahead"] = (1.0 / self.body.gravity) * (speed + root)
+        turn = memory["momentum_y"] * memory["time_ahead"] / maximum(memory["row.ahead_inertia"], 0.1)
+        memory["somersault_ahead"] = memory["somersault"] + turn
 
     def _mass_in_motion(self, view: View) -> tuple[Vector, Vector, Vector]:
         """Centre of mass [m], its velocity [m/s], and the angular momentum about it [kg m^2/s]; world axes."""
@@ -447,8 +480,6 @@ class Gymnast:
         memory["hands_unloaded"] = select(hand > FEELS, 0.0, memory["hands_unloaded"] + view.step)
         memory["lying"] = select(other > FALL_FORCE, memory["lying"] + view.step, 0.0)
         memory["foot_force"], memory["hand_force"] = foot, hand
-        memory["peak_force"] = maximum(memory["peak_force"], foot)
-        memory["hardest"] = maximum(memory["hardest"], foot)
 
     # ---- where joints are --------------------------------------------------------------------------------------------
     def _place(self, joint: str, axis: int) -> tuple[int, int]:
@@ -479,21 +510,14 @@ def gymnast(
     return Gymnast(body, name or f"gymnast-{sex}", bare.mass * tallness**2 / GAIN_BODY)
 
 
-def shoulder_orientation(side: str, raised: Any, spread: Any, turn: Any) -> list[Any]:
-    """Orientation of an upper arm in its shoulder girdle (x, y, z, w) for its channels [rad]; any scalars."""
-    outwards = 1.0 if side == "left" else -1.0
-    # The reference pose has the arm out to the side, which is a spread of pi/2.
-    cy, sy = _cosine_and_sine(-0.5 * raised)
-    cx, sx = _cosine_and_sine(0.5 * outwards * (spread - 0.5 * math.pi))
-    ct, st = _cosine_and_sine(0.5 * outwards * turn)
-    # Ry(raised) Rx(spread) Ry(turn).
-    x, y, z, w = cy * sx, sy * cx, -(sy * sx), cy * cx
-    return [x * ct - z * st, y * ct + w * st, z * ct + x * st, w * ct - y * st]
-
-
 def _cosine_and_sine(angle: Any) -> tuple[Any, Any]:
     sine, cosine = sincos(angle)
     return cosine, sine
+
+
+def _shorter_way(turn: Any) -> Any:
+    """A difference of two angles as the turn between -pi and pi that makes it [rad]."""
+    return select(math.pi < turn, turn - 2.0 * math.pi, select(turn < -math.pi, turn + 2.0 * math.pi, turn))
 
 
 def _least(values: Sequence[Any]) -> Any:

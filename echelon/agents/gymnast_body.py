@@ -14,10 +14,10 @@ lists them, and what each axis does). A gymnast differs from those bodies in thi
 
 The feet
 --------
-The thesis draws no soles. Its segments are solids, and a box of the same mass and moments (semi-axis along x:
-sqrt(1.5 (Iyy + Izz - Ixx) / m), and so on) shows where a solid is: the man's foot reaches down to 1.4 mm above the
-floor of the reference pose and his toes to 3 mm beneath it, the woman's to 1.0 and 3.8 mm beneath. So the sole is that
-floor, z = 0: 83.6 mm under the man's ankle, 82 mm under the woman's. Lengthwise the same boxes give heel, ball and tip.
+The thesis says that heels and balls are at z = 0 of the reference pose: 83.6 mm under the man's ankle, 82 mm under the
+woman's. A box of a foot's mass and moments (semi-axis along x: sqrt(1.5 (Iyy + Izz - Ixx) / m), and so on) ends there
+too: the man's 1.4 mm above, his toes' 3 mm beneath, the woman's 1.0 and 3.8 mm beneath. It gives no outline; lengthwise
+the same boxes give heel, ball and tip.
 
 A foot has four corners (heel and ball, inner and outer) on the foot link and two tips on the toes, each of
 `SOLE_STIFFNESS` with damping that is critical for the body on all twelve. They grow with the body's mass, so that every
@@ -40,6 +40,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -58,6 +59,7 @@ from echelon.agents.gymnast_joints import (
     split_side,
     stops,
 )
+from echelon.agents.segments import Segment, fitted_segments
 from echelon.errors import InputError
 from echelon.warp_kernels.model import ContactSite, Joint, Link, Matrix3, Vec3, Visual
 from echelon.warp_kernels.reference import Body
@@ -109,6 +111,7 @@ class LegGeometry:
             shank_lean - q_hip - q_knee, the angles q being those about y; a flat foot has q_hip + q_knee + q_ankle = 0.
         ankle_height: Over a flat sole [m].
         heel, ball, tip: Of the sole, forward from the ankle [m].
+        hip_offset: Of a hip from the middle [m].
     """
 
     thigh: float
@@ -119,6 +122,7 @@ class LegGeometry:
     heel: float
     ball: float
     tip: float
+    hip_offset: float
 
 
 def gymnast_body(
@@ -158,10 +162,7 @@ def gymnast_body(
     heaviness = _factor("mass", mass, thesis.mass, SMALLEST**3, LARGEST**3, "kg")
     if not 0.0 <= backpack <= LARGEST_BACKPACK:
         raise InputError(f"gymnast: backpack is {backpack} kg, must lie between 0 and {LARGEST_BACKPACK:g} kg")
-    links = [_renamed(link) for link in thesis.links]
-    if symmetric:
-        links = _symmetrized(links)
-    links = [_scaled(link, tallness, heaviness) for link in links]
+    links = [_scaled(link, tallness, heaviness) for link in _thesis_links(sex, symmetric)]
     contacts = _sites(thesis, links, tallness, heaviness, symmetric)
     if backpack > 0.0:
         links = [_carrying(link, backpack) if link.name == BACKPACK_PLACE else link for link in links]
@@ -187,6 +188,7 @@ def leg_geometry(body: Body) -> LegGeometry:
         heel=sites["left_heel_inner"].position[0],
         ball=sites["left_ball_inner"].position[0],
         tip=toe[0] + sites["left_tip_inner"].position[0],
+        hip_offset=body.links[body.link_index("left_upper_leg")].joint.position[1],
     )
 
 
@@ -278,6 +280,25 @@ def _factor(key: str, wanted: float | None, usual: float, least: float, most: fl
     return wanted / usual
 
 
+@lru_cache(maxsize=2 * len(HEIGHTS))
+def _thesis_links(sex: Sex, symmetric: bool) -> tuple[Link, ...]:
+    """Links of the thesis's size, drawn as what they weigh."""
+    thesis = load_body(sex)
+    links = [_renamed(link) for link in thesis.links]
+    if symmetric:
+        links = _symmetrized(links)
+    soles = {site.name: site.position for site in _soles(thesis, 1.0, 1.0, symmetric)}
+    segments = fitted_segments(links, soles, female=sex == "female")
+    return tuple(replace(link, visuals=segments[link.name].visuals) for link in links)
+
+
+def segments_of(sex: Sex, symmetric: bool = True) -> dict[str, Segment]:
+    """The polyhedra of a gymnast of the thesis's size, by link: what is weighed and what is drawn (see `segments`)."""
+    thesis = load_body(sex)
+    soles = {site.name: site.position for site in _soles(thesis, 1.0, 1.0, symmetric)}
+    return fitted_segments(_thesis_links(sex, symmetric), soles, female=sex == "female")
+
+
 def _renamed(link: Link) -> Link:
     parent = None if link.parent is None else LINKS[link.parent]
     return replace(link, name=LINKS[link.name], parent=parent, joint=replace(link.joint, name=JOINTS[link.joint.name]))
@@ -297,7 +318,6 @@ def _symmetrized(links: Sequence[Link]) -> list[Link]:
         place = 0.5 * (np.array(first.joint.position) + _mirror(second.joint.position))
         if side == "right":
             inertia, com, place = _mirrored_tensor(inertia), _mirror(com), _mirror(place)
-        visuals = tuple(_centered(visual) for visual in link.visuals) if not side else link.visuals
         result.append(
             replace(
                 link,
@@ -305,7 +325,6 @@ def _symmetrized(links: Sequence[Link]) -> list[Link]:
                 mass=0.5 * (first.mass + second.mass),
                 com=_vec(com),
                 inertia=_matrix(inertia),
-                visuals=visuals,
             )
         )
     return result
@@ -477,10 +496,6 @@ def _mirrored_tensor(tensor: Sequence[Sequence[float]] | np.ndarray) -> np.ndarr
 def _offset(vector: np.ndarray) -> np.ndarray:
     """What a unit mass at a place adds to the inertia tensor about the origin."""
     return float(vector @ vector) * np.eye(3) - np.outer(vector, vector)
-
-
-def _centered(visual: Visual) -> Visual:
-    return replace(visual, position=(visual.position[0], 0.0, visual.position[2]))
 
 
 def _times(factor: float, vector: Vec3) -> Vec3:

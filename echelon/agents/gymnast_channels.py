@@ -21,8 +21,12 @@ rotation of the right side's x and z axes is a negative one of the left's.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
+
+from echelon.warp_kernels.trace import sincos
 
 SIDES = ("left", "right")
 
@@ -92,3 +96,15 @@ def channels_named(name: str) -> tuple[str, ...]:
     if name in CHANNELS:
         return (name,)
     return tuple(f"{side}_{name}" for side in SIDES) if name in SIDED else ()
+
+
+def shoulder_orientation(side: str, raised: Any, spread: Any, turn: Any) -> list[Any]:
+    """Orientation of an upper arm in its shoulder girdle (x, y, z, w) for its channels [rad]; any scalars."""
+    outwards = 1.0 if side == "left" else -1.0
+    # The reference pose has the arm out to the side, which is a spread of pi/2.
+    sy, cy = sincos(-0.5 * raised)
+    sx, cx = sincos(0.5 * outwards * (spread - 0.5 * math.pi))
+    st, ct = sincos(0.5 * outwards * turn)
+    # Ry(raised) Rx(spread) Ry(turn).
+    x, y, z, w = cy * sx, sy * cx, -(sy * sx), cy * cx
+    return [x * ct - z * st, y * ct + w * st, z * ct + x * st, w * ct - y * st]

@@ -15,7 +15,12 @@ feedback, and what leads on to which other row:
     name = "crouch"
     phase = "crouch"                                # one of the gymnast's phases
     duration = 0.5                                  # of all paths of this row [s]
-    legs = { length = "crouch", hip = -0.64 }       # hip, knee and ankle for a distance from hip to ankle, eq. 7.5, 7.6
+    pose = "tuck"                                   # channels that have a name together, see poses.toml
+    legs = { length = "crouch", pitch = 0.64 }      # hip, knee, ankle for a distance from hip to ankle, eq. 7.5, 7.6,
+                                                    # and a pitch of the trunk, or else the hip's angle as `hip`;
+                                                    # with com_x, ankles that put the centre of mass so far ahead of
+                                                    # the middle of the feet; slope and tilt: how steeply the ground
+                                                    # rises ahead and to the left [rad]
     channels = { shoulder = -0.6, elbow = 0.2 }     # see gymnast_channels
     durations = { shoulder = 0.3 }
     gains = { hip = 0.77, ankle = [4.45, 1.0] }     # kp, or kp and kv, times the usual
@@ -25,8 +30,8 @@ feedback, and what leads on to which other row:
     next = [{ to = "push", when = { row_age = [0.6, inf], com_x = [0.0, 0.1] } }]
 
 Rows stand in order; the first begins. Wherever a number stands, a string may: an expression of parameters, with
-``+ - * /``, parentheses, ``pi`` and the functions ``min``, ``max``, ``abs`` and ``table(x, [xs], [ys])``, which is
-piecewise linear.
+``+ - * /``, parentheses, ``pi``, ``leg`` (from hip to ankle when it is straight [m]) and the functions ``min``,
+``max``, ``abs`` and ``table(x, [xs], [ys])``, which is piecewise linear.
 """
 
 from __future__ import annotations
@@ -37,27 +42,31 @@ import math
 import operator
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from echelon.agents.gymnast import MEASURES, SETTINGS, Gymnast
-from echelon.agents.gymnast_body import LegGeometry, leg_geometry
+from echelon.agents.gymnast import ARMS_SPREAD, MEASURES, SETTINGS, Gymnast
+from echelon.agents.gymnast_body import leg_geometry
 from echelon.agents.gymnast_channels import CHANNELS, GROUPS, SIDED, SIDES, channels_named
+from echelon.agents.gymnast_posture import balanced_legs, leg_angles
+from echelon.agents.poses import poses
 from echelon.errors import InputError
 from echelon.warp_kernels.reference import Body
 from echelon.warp_kernels.scripts import CAPTURES, CLAUSE_SIZE, CLAUSES, TRANSITION_SIZE, TRANSITIONS, ScriptLayout
 
 _SHIPPED = resources.files("echelon.agents") / "maneuvers"
 ROW_KEYS = (
-    "name", "phase", "duration", "durations", "legs", "channels", "gains", "settings", "start", "capture", "next",
+    "name", "phase", "duration", "durations", "pose", "legs", "channels", "gains", "settings", "start", "capture",
+    "next",
 )  # fmt: skip
-FILE_KEYS = ("name", "title", "description", "body", "parameters", "row")
+FILE_KEYS = ("name", "title", "description", "body", "parameters", "row", "tuned")
 PARAMETER_KEYS = ("value", "spread", "least", "most", "unit", "about")
 STARTS = ("wanted", "measured")
+LEG = ("hip", "knee", "ankle")
 DEFAULT_DURATION = 0.3  # of a path where a row does not say [s]
 
 
@@ -89,6 +98,8 @@ class Script:
         parameters: By name.
         rows: As parsed, in order.
         source: Where it came from, for messages.
+        tuned: What its parameters were tuned for, as `echelon tune` writes it (see `fingerprint`); empty if they were
+            not.
     """
 
     name: str
@@ -98,6 +109,7 @@ class Script:
     parameters: Mapping[str, Parameter]
     rows: tuple[Mapping[str, Any], ...]
     source: str
+    tuned: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def row_names(self) -> tuple[str, ...]:
@@ -119,6 +131,8 @@ class Script:
         for name in values or {}:
             _known(self.source, "parameters", name, tuple(self.parameters))
         numbers = {name: parameter.value for name, parameter in self.parameters.items()} | dict(values or {})
+        leg = leg_geometry(body)
+        numbers["leg"] = leg.thigh + leg.shank
         writer = _TableWriter(self, Gymnast.script, body, numbers)
         return np.array([writer.row(place, row) for place, row in enumerate(self.rows)], dtype=np.float32)
 
@@ -159,8 +173,17 @@ def load_script(name_or_path: str | Path) -> Script:
     Raises:
         InputError: One line naming the file, the key and what is allowed.
     """
+    return parse_script(*script_text(name_or_path))
+
+
+def script_text(name_or_path: str | Path) -> tuple[str, str]:
+    """The text of a maneuver that ships, by name, or of a file, and what to call it in messages.
+
+    Raises:
+        InputError: One line naming the file and what is allowed.
+    """
     if str(name_or_path) in maneuver_names():
-        return parse_script((_SHIPPED / f"{name_or_path}.toml").read_text("utf-8"), f"{name_or_path}.toml")
+        return (_SHIPPED / f"{name_or_path}.toml").read_text("utf-8"), f"{name_or_path}.toml"
     path = Path(name_or_path)
     if path.suffix != ".toml":
         near = difflib.get_close_matches(str(name_or_path), maneuver_names(), n=1)
@@ -168,7 +191,7 @@ def load_script(name_or_path: str | Path) -> Script:
         known = ", ".join(maneuver_names())
         raise InputError(f"maneuver {str(name_or_path)!r}: {hint}allowed are {known} or the path of a .toml file")
     try:
-        return parse_script(path.read_text("utf-8"), str(path))
+        return path.read_text("utf-8"), str(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
@@ -207,29 +230,10 @@ def parse_script(text: str, source: str) -> Script:
         parameters=parameters,
         rows=tuple(rows),
         source=source,
+        tuned=_tuned(source, data.get("tuned", {})),
     )
     _check(script)
     return script
-
-
-def leg_angles(leg: LegGeometry, length: float) -> tuple[float, float, float]:
-    """Hip, knee and ankle for a distance from hip to ankle, with the hip straight above the ankle [rad].
-
-    Equations 7.5 and 7.6 of *Simulation of Leaping, Tumbling, Landing, and Balancing Humans*, for an upright pelvis and
-    a flat foot; a longer distance than the leg has stretches it.
-
-    Args:
-        leg: As `leg_geometry` gives it.
-        length: From hip to ankle [m].
-    """
-    thigh, shank = leg.thigh, leg.shank
-    length = min(max(length, abs(thigh - shank) + 1e-6), thigh + shank)
-    at_knee = (thigh**2 + shank**2 - length**2) / (2.0 * thigh * shank)
-    at_hip = (thigh**2 - shank**2 + length**2) / (2.0 * thigh * length)
-    bend = math.pi - math.acos(min(max(at_knee, -1.0), 1.0))
-    lean = math.acos(min(max(at_hip, -1.0), 1.0))
-    # The angles are counted from the reference pose, where thigh and shank lean a little.
-    return leg.thigh_lean - lean, bend - leg.thigh_lean + leg.shank_lean, lean - bend - leg.shank_lean
 
 
 # ---- from rows to numbers --------------------------------------------------------------------------------------------
@@ -241,6 +245,8 @@ class _TableWriter:
         self.layout = layout
         self.body = body
         self.numbers = numbers
+        # Where channels are by the rows so far: rows are written in order.
+        self.posture: dict[str, float] = {f"{side}_shoulder_spread": ARMS_SPREAD for side in SIDES}
         self.setting_places = {name: layout.setting_place + i for i, name in enumerate(layout.settings)}
 
     def value(self, where: str, given: Any) -> float:
@@ -257,6 +263,7 @@ class _TableWriter:
             for name, given in row.get("durations", {}).items()
             for channel in _channels(self.script.source, f"{where}, durations", name)
         }
+        self.posture |= targets
         for i, channel in enumerate(layout.channels):
             numbers[i] = targets.get(channel, math.nan)
             numbers[layout.duration_place + i] = max(durations.get(channel, usual), 1e-3)
@@ -277,17 +284,43 @@ class _TableWriter:
         return numbers
 
     def _targets(self, where: str, row: Mapping[str, Any]) -> dict[str, float]:
-        targets: dict[str, float] = {}
+        targets: dict[str, float] = dict(poses()[row["pose"]]) if "pose" in row else {}
         if "legs" in row:
-            length = self.value(f"{where}, legs.length", row["legs"]["length"])
-            hip, knee, ankle = leg_angles(leg_geometry(self.body), length)
-            hip = self.value(f"{where}, legs.hip", row["legs"].get("hip", hip))
-            for side in SIDES:
-                targets |= {f"{side}_hip": hip, f"{side}_knee": knee, f"{side}_ankle": ankle}
+            targets |= self._legs(where, row, targets)
         for name, given in row.get("channels", {}).items():
             for channel in _channels(self.script.source, f"{where}, channels", name):
                 targets[channel] = self.value(f"{where}, channels.{name}", given)
         return targets
+
+    def _legs(self, where: str, row: Mapping[str, Any], targets: Mapping[str, float]) -> dict[str, float]:
+        """Channels of both legs for what the row asks of them."""
+        legs = {name: self.value(f"{where}, legs.{name}", given) for name, given in row["legs"].items()}
+        leg = leg_geometry(self.body)
+        slope, tilt = legs.get("slope", 0.0), legs.get("tilt", 0.0)
+        if "com_x" in legs:
+            # Where this row leaves the rest of the body.
+            elsewhere = self.posture | targets
+            for name, given in row.get("channels", {}).items():
+                for channel in _channels(self.script.source, f"{where}, channels", name):
+                    elsewhere[channel] = self.value(f"{where}, channels.{name}", given)
+            pitch, com_x = legs.get("pitch", 0.0), legs["com_x"]
+            try:
+                hip, knee, ankle = balanced_legs(self.body, leg, legs["length"], pitch, com_x, elsewhere)
+            except InputError as error:
+                raise InputError(f"{self.script.source}: {where}, legs: {error}") from None
+            return {
+                f"{side}_{name}": x for side in SIDES for name, x in zip(LEG, (hip, knee, ankle - slope), strict=True)
+            }
+        found: dict[str, float] = {}
+        for side, uphill in (("left", 1.0), ("right", -1.0)):
+            # On ground that rises to the left, the left leg is as much shorter as it stands higher.
+            length = legs["length"] - max(uphill * math.tan(tilt), 0.0) * 2.0 * abs(leg.hip_offset)
+            hip, knee, ankle = leg_angles(leg, length)
+            hip = legs.get("hip", hip) - legs.get("pitch", 0.0)
+            found |= {f"{side}_hip": hip, f"{side}_knee": knee, f"{side}_ankle": ankle - slope}
+            if tilt != 0.0:
+                found[f"{side}_ankle_roll"] = uphill * tilt
+        return found
 
     def _settings(self, where: str, row: Mapping[str, Any]) -> dict[str, float]:
         settings = dict(self.layout.settings)
@@ -314,19 +347,21 @@ class _TableWriter:
 def _check(script: Script) -> None:
     """Every name that a script uses exists, and every expression has a value with the usual parameters."""
     source, names = script.source, script.row_names
-    numbers = {name: parameter.value for name, parameter in script.parameters.items()}
+    numbers = {name: parameter.value for name, parameter in script.parameters.items()} | {"leg": 1.0}
     for row in script.rows:
         where = f"row {row['name']!r}"
         if row.get("phase", "standing") not in Gymnast.phase_names:
             _known(source, f"{where}, phase", row["phase"], Gymnast.phase_names)
         if row.get("start", "wanted") not in STARTS:
             _known(source, f"{where}, start", row["start"], STARTS)
+        if "pose" in row:
+            _known(source, f"{where}, pose", row["pose"], tuple(poses()))
         for key in ("durations", "channels"):
             for name, given in row.get(key, {}).items():
                 _channels(source, f"{where}, {key}", name)
                 _number(source, f"{where}, {key}.{name}", given, numbers)
         for name, given in row.get("legs", {}).items():
-            _known(source, f"{where}, legs", name, ("length", "hip"))
+            _known(source, f"{where}, legs", name, ("length", "hip", "pitch", "com_x", "slope", "tilt"))
             _number(source, f"{where}, legs.{name}", given, numbers)
         if "legs" in row and "length" not in row["legs"]:
             raise InputError(f"{source}: {where}, legs: needs a length [m]")
@@ -380,6 +415,12 @@ def _parameter(source: str, name: str, given: Any) -> Parameter:
         float(given.get("most", math.inf)),
         str(given.get("about", "")),
     )
+
+
+def _tuned(source: str, given: Any) -> Mapping[str, Any]:
+    if not isinstance(given, Mapping):
+        raise InputError(f"{source}: tuned = {given!r}: must be a table, as `echelon tune` writes it")
+    return given
 
 
 def _channels(source: str, where: str, name: str) -> tuple[str, ...]:

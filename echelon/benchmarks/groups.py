@@ -89,47 +89,45 @@ def _row(test: GroupTest, found: Sequence[Outcome]) -> Row:
     }
 
 
+COLUMNS = (
+    *("group", "problem", "law", "clean", "falls", "collisions", "crossed", "passed", "lost"),
+    *("spread", "recovery", "distance", "nearest"),
+)
+"""What a table shows of a row; the first three are words, the others numbers."""
+
+
+def shown_row(row: Row, group: str, clean: str) -> tuple[str, ...]:
+    """A row as tables show it, by `COLUMNS`; how a table writes "agents, character" and "clean, seeds" it says."""
+    return (
+        group.format(row["agents"], row["character"]),
+        row["problem"],
+        row["law"],
+        clean.format(row["clean"], row["seeds"]),
+        str(row["falls"]),
+        str(row["collisions"]),
+        str(row["crossed"]),
+        f"{row['passed_percent']:.1f} %",
+        f"{row['lost_percent']:.1f} %",
+        _shown(row["dispersion"], "{:.2f}"),
+        _shown(row["recovery_s"], "{:.1f} s"),
+        _shown(row["distance_m"], "{:.2f} m"),
+        _shown(row["nearest_m"], "{:.2f} m"),
+    )
+
+
 def print_table(rows: Sequence[Row]) -> None:
     """Print rows as a table."""
     count = rows[0]["seeds"] if rows else 0
     table = Table(box=box.SIMPLE_HEAD, title=f"Group tests over {count} seeds", title_justify="left")
-    table.add_column("group", no_wrap=True)
-    table.add_column("problem", no_wrap=True)
-    table.add_column("law", no_wrap=True)
-    for name in (
-        "clean",
-        "falls",
-        "collisions",
-        "crossed",
-        "passed",
-        "lost",
-        "spread",
-        "recovery",
-        "distance",
-        "nearest",
-    ):
-        table.add_column(name, justify="right", no_wrap=True)
+    for place, name in enumerate(COLUMNS):
+        table.add_column(name, justify="left" if place < 3 else "right", no_wrap=True)
     before = None
     for row in rows:
-        group = f"{row['agents']} x {row['character']}"
-        if before is not None and (group, row["problem"]) != before:
+        cells = shown_row(row, "{} x {}", "{}/{}")
+        if before is not None and cells[:2] != before:
             table.add_section()
-        before = (group, row["problem"])
-        table.add_row(
-            group,
-            row["problem"],
-            row["law"],
-            f"{row['clean']}/{row['seeds']}",
-            str(row["falls"]),
-            str(row["collisions"]),
-            str(row["crossed"]),
-            f"{row['passed_percent']:.1f} %",
-            f"{row['lost_percent']:.1f} %",
-            _shown(row["dispersion"], "{:.2f}"),
-            _shown(row["recovery_s"], "{:.1f} s"),
-            _shown(row["distance_m"], "{:.2f} m"),
-            _shown(row["nearest_m"], "{:.2f} m"),
-        )
+        before = cells[:2]
+        table.add_row(*cells)
     console = Console(width=None if Console().is_terminal else 160)
     console.print(table)
     console.print(

@@ -18,7 +18,7 @@ from echelon.benchmarks.engine_report import read_csv, write_csv
 from echelon.benchmarks.group_plots import write_paths, write_summary
 from echelon.benchmarks.group_problems import ORCA, PAPER, chosen_tests
 from echelon.benchmarks.group_run import run_test
-from echelon.benchmarks.groups import run_groups_benchmark
+from echelon.benchmarks.groups import COLUMNS, run_groups_benchmark, shown_row
 
 Row = dict[str, Any]
 
@@ -29,29 +29,9 @@ SHOWN = ("hopper-105", "cyclist-18")
 
 def markdown(rows: Sequence[Row]) -> str:
     """The table of a machine's rows."""
-    head = ("group", "problem", "law", "clean seeds", "falls", "collisions", "crossed", "passed", "lost")
-    head += ("spread", "recovery", "distance", "nearest")
+    head = ["clean seeds" if name == "clean" else name for name in COLUMNS]
     lines = [" | ".join(head), " | ".join(["---"] * 3 + ["---:"] * (len(head) - 3))]
-    for row in rows:
-        lines.append(
-            " | ".join(
-                (
-                    f"{row['agents']} {row['character']}",
-                    row["problem"],
-                    row["law"],
-                    f"{row['clean']} of {row['seeds']}",
-                    str(row["falls"]),
-                    str(row["collisions"]),
-                    str(row["crossed"]),
-                    f"{row['passed_percent']:.1f} %",
-                    f"{row['lost_percent']:.1f} %",
-                    f"{row['dispersion']:.2f}",
-                    "" if row["recovery_s"] is None else f"{row['recovery_s']:.1f} s",
-                    f"{row['distance_m']:.2f} m",
-                    f"{row['nearest_m']:.2f} m",
-                )
-            )
-        )
+    lines += [" | ".join(shown_row(row, "{} {}", "{} of {}")) for row in rows]
     return "\n".join(f"| {line} |" for line in lines) + "\n"
 
 

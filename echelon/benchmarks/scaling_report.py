@@ -47,13 +47,13 @@ def _number(key: str, digits: int, scale: float = 1.0) -> Callable[[Row], str]:
 
 
 def _figures(key: str) -> Callable[[Row], str]:
-    """A column of numbers of any size, two or three digits each."""
+    """A column of numbers of any size, three digits each, small ones to a thousandth."""
 
     def text(row: Row) -> str:
         value = row.get(key)
         if value is None:
             return "–"
-        return f"{value:,.0f}" if value >= 100 else f"{value:.3g}" if value >= 0.1 else f"{value:.2g}"
+        return f"{value:,.0f}" if value >= 100 else f"{value:.3g}" if value >= 0.1 else f"{value:.3f}"
 
     return text
 
@@ -73,6 +73,7 @@ COLUMNS: tuple[Column, ...] = (
     ("act [ms]", _figures("act_ms")),
     ("record [ms]", _figures("record_ms")),
     ("write [ms]", _figures("write_ms")),
+    ("not kept [ms]", _figures("unrecorded_ms")),
     ("agent [µs]", _figures("agent_us")),
     ("real time", _figures("real_time_factor")),
     ("speed -up", _number("speedup", 2)),
@@ -180,7 +181,7 @@ def print_table(rows: Sequence[Row], console: Console | None = None) -> None:
     for title, columns, chosen in sections(rows):
         if not chosen:
             continue
-        table = Table(title=title, box=box.SIMPLE_HEAD, padding=0, title_justify="left")
+        table = Table(title=title, box=box.SIMPLE_HEAD, padding=0, show_edge=False, title_justify="left")
         for heading, text in columns:
             # As narrow as can be, for narrow terminals: headings wrap, numbers below them do not.
             cells = [text(row) for row in chosen]
@@ -335,7 +336,9 @@ Each size runs in a process of its own: *MB* is the most memory that it had, int
 one thread, and with as many as the engine thinks worth it, take turns, and the fastest of three counts, over at least a
 second and, where that does not take too long, over four chunks of the recording. Time is that of frames, without
 start-up. *Speed-up* is the time with one thread over that with more; the CSV file has it also for each thread
-(`efficiency`).
+(`efficiency`). *Not kept* is a frame that nobody records, measured in turn with the others: with as many threads as
+cores, writing takes time that they then lack, and with one thread it does not (`unrecorded_efficiency` is without it).
+Where both rows of a size have one thread, the same program ran twice: how they differ is how still the machine was.
 
 A run counts if nobody's state stopped being finite, no more than 2 % fell, and all runs of one size came to the same
 bytes, with any number of threads.

@@ -4,15 +4,18 @@
 
 prints the rows as JSON. Runs with one thread and with more take turns, so that a machine that grows slower slows all;
 of each the fastest counts. A run is `echelon.simulation.simulate`, recorded to disk like any other. Its time is that of
-its frames: what comes before the first and after the last is not in it.
+its frames: what comes before the first and after the last is not in it. Beside each run goes a shorter one that is not
+recorded, to see what recording takes of more than one thread.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,8 +27,10 @@ from echelon.recording import Recording
 from echelon.recording.layout import chunk_frames
 from echelon.scenario import Scenario
 from echelon.simulation.cost import RunCost
-from echelon.simulation.loop import simulate
+from echelon.simulation.loop import Simulation, simulate
+from echelon.simulation.scene import SceneFrames
 from echelon.warp_kernels.emit import host_lanes
+from echelon.warp_kernels.frame import ChunkArrays
 
 Row = dict[str, Any]
 
@@ -54,7 +59,9 @@ def measure(kind: Kind, agents: int, threads: Sequence[int], rounds: int = ROUND
         scene = scene_of(kind, agents, folder)
         trial, _ = _run(scene, TRIAL_FRAMES, threads[0], folder)
         frames = _frames(scene, _frame_seconds(trial, TRIAL_FRAMES), folder)
+        few = _unrecorded_frames(_frame_seconds(trial, TRIAL_FRAMES), frames)
         best: dict[int, RunCost] = {}
+        unrecorded: dict[int, float] = {}
         found: list[dict[str, Any]] = []
         memory = 0.0
         for turn in range(rounds):
@@ -65,9 +72,11 @@ def measure(kind: Kind, agents: int, threads: Sequence[int], rounds: int = ROUND
                     memory = cost.peak_memory_mb or 0.0
                 if turn == 0 or _loop_seconds(cost) < _loop_seconds(best[count]):
                     best[count] = cost
-        first = best[threads[0]]
+                unrecorded[count] = min(unrecorded.get(count, math.inf), _unrecorded(scene, few, count))
         sane, why = _judged(found, agents)
-        return [_row(scene, frames, count, best[count], first, memory, sane, why, found[0]) for count in threads]
+        return [
+            _row(scene, frames, count, threads[0], best, unrecorded, memory, sane, why, found[0]) for count in threads
+        ]
 
 
 def _run(scene: Scene, frames: int, threads: int, folder: Path) -> tuple[RunCost, dict[str, Any]]:
@@ -76,6 +85,26 @@ def _run(scene: Scene, frames: int, threads: int, folder: Path) -> tuple[RunCost
     cost = RunCost()
     recording: Recording = simulate(scenario, recording=folder / "recording", threads=threads, cost=cost)
     return cost, dict(recording.summary)
+
+
+def _unrecorded(scene: Scene, frames: int, threads: int) -> float:
+    """Seconds of a frame that nobody keeps, over so many from the start."""
+    simulation = Simulation(scene.scenario, threads=threads)
+    engine = simulation.engine
+    engine.bind(ChunkArrays.allocate(1, engine.agent_count, engine.character, engine.device))
+    seen = SceneFrames.allocate(1, simulation.scene, engine.agent_count)
+    simulation.advance(0, seen)  # captures
+    begun = time.perf_counter()
+    for _ in range(frames):
+        simulation.advance(0, seen)
+        seen.events.clear()
+    seconds = (time.perf_counter() - begun) / frames
+    simulation.close()
+    return seconds
+
+
+def _unrecorded_frames(frame_seconds: float, most: int) -> int:
+    return min(max(round(ROUND_SECONDS / frame_seconds), LEAST_FRAMES), most)
 
 
 def _loop_seconds(cost: RunCost) -> float:
@@ -119,8 +148,9 @@ def _row(
     scene: Scene,
     frames: int,
     threads: int,
-    cost: RunCost,
-    first: RunCost,
+    first_threads: int,
+    costs: Mapping[int, RunCost],
+    unrecorded: Mapping[int, float],
     memory: float,
     sane: bool,
     why: str,
@@ -129,13 +159,16 @@ def _row(
     """One row.
 
     Args:
-        scene, frames, threads, cost: What was measured; the threads that were asked for.
-        first: The same with the first number of threads, to compare with.
+        scene, frames, threads: What was measured; the threads that were asked for.
+        first_threads: The number to compare with.
+        costs: Of the fastest run with each number of threads that was asked for.
+        unrecorded: Time of a frame that is not recorded, likewise [s].
         memory: Most that the process had with the first number of threads [MB].
         sane, why: What was found.
         summary: What the runs came to.
     """
     scenario = scene.scenario
+    cost, first = costs[threads], costs[first_threads]
     character = character_named(scenario.crowd.character)
     substeps, tick = scenario.engine.stride(scenario.frame_rate, character.steps_per_second, character.steps_per_tick)
     seconds = _frame_seconds(cost, frames)
@@ -148,6 +181,8 @@ def _row(
         "real_time_factor": 1.0 / (scenario.frame_rate * seconds),
         "speedup": _frame_seconds(first, frames) / seconds,
         "efficiency": first.threads * _frame_seconds(first, frames) / (cost.threads * seconds),
+        "unrecorded_ms": 1e3 * unrecorded[threads],
+        "unrecorded_efficiency": first.threads * unrecorded[first_threads] / (cost.threads * unrecorded[threads]),
     }
     return {
         "engine": "Echelon",

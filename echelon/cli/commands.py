@@ -23,11 +23,13 @@ from echelon.cli.course import app as course_app
 from echelon.cli.groups import Seeds, bench_groups
 from echelon.cli.progress import Progress, Reporter, size
 from echelon.cli.registering import Json, Quiet, command
-from echelon.cli.running import Failure, announce, check_products, only_json, run_and_report, shot_options
+from echelon.cli.running import Failure, announce, check_products, make_stage, only_json, run_and_report, shot_options
 from echelon.cli.scaling import Most, Only, OutFolder, ThreadCounts, bench_scaling, refuse_options
 from echelon.cli.sweep import EXAMPLES as SWEEP_EXAMPLES
 from echelon.cli.sweep import sweep
 from echelon.cli.thesis import bench_thesis
+from echelon.cli.tune import EXAMPLES as TUNE_EXAMPLES
+from echelon.cli.tune import tune
 from echelon.errors import InputError
 from echelon.launcher import launched_rank, launched_ranks
 
@@ -154,10 +156,20 @@ class Representation(StrEnum):
     POINTS = "points"
 
 
+class RepresentationChoice(StrEnum):
+    """The same, or what fits the crowd's size."""
+
+    AUTO = "auto"
+    RIG = "rig"
+    SKEL = "skel"
+    POINTS = "points"
+
+
 class Camera(StrEnum):
     """Which way to look."""
 
     FOLLOW = "follow"
+    SIDE = "side"
     OVERVIEW = "overview"
     CORRAL = "corral"
     ROADSIDE = "roadside"
@@ -181,8 +193,11 @@ class Study(StrEnum):
 
 
 RepresentationOption = Annotated[
-    Representation,
-    typer.Option(help="rig: a transform a link; skel: UsdSkel, instanced; points: a PointInstancer a link."),
+    RepresentationChoice,
+    typer.Option(
+        help="rig: a transform a link; skel: UsdSkel, instanced; points: a PointInstancer a link; "
+        "auto: rig for up to 150 agents, points for more."
+    ),
 ]
 
 
@@ -218,7 +233,7 @@ def simulate(
         typer.Option(metavar="DIR", help="Where to record; by default beside the stage, or ./SCENARIO.recording."),
     ] = None,
     film: Film = None,
-    representation: RepresentationOption = Representation.RIG,
+    representation: RepresentationOption = RepresentationChoice.AUTO,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -262,7 +277,7 @@ def resume(
     device: Device = "cpu",
     out: Stage = None,
     film: Film = None,
-    representation: RepresentationOption = Representation.RIG,
+    representation: RepresentationOption = RepresentationChoice.AUTO,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -282,7 +297,10 @@ def resume(
     reporter = Reporter(quiet or as_json or not ranks.is_first)
     if ranks.is_first:
         check_products(out, film)
-    reporter.say(f"{plan.name}: going on after {opened.frame_count} frames of at most {plan.step_count + 1}")
+    reporter.say(
+        f"{plan.name}: going on after {opened.frame_count} frames of at most {plan.step_count + 1}; when it was "
+        f"interrupted at most a chunk, {opened.chunk_frames} frames, was lost"
+    )
 
     def work(progress: Progress, cost: RunCost) -> Recording:
         from echelon.simulation import resume
@@ -293,6 +311,7 @@ def resume(
 
 
 command(app, "sweep", SWEEP_EXAMPLES)(sweep)
+command(app, "tune", TUNE_EXAMPLES)(tune)
 
 
 # ---- what is made of a recording -----------------------------------------------------------------------------------
@@ -306,7 +325,7 @@ command(app, "sweep", SWEEP_EXAMPLES)(sweep)
 def export(
     recording: RecordingFolder,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.usd", help="The stage to write.")],
-    representation: RepresentationOption = Representation.RIG,
+    representation: RepresentationOption = RepresentationChoice.AUTO,
     also: Annotated[
         list[Representation] | None,
         typer.Option(help="A further representation to choose from in the stage's variant set; repeatable."),
@@ -327,10 +346,7 @@ def export(
 
         write_physics(opened, out, physics)
     else:
-        from echelon.export.usd import write_stage
-
-        with reporter.progress(str(out), "parts") as progress:
-            write_stage(opened, out, representation.value, progress, also=[name.value for name in also or ()])
+        make_stage(reporter, opened, out, representation.value, [name.value for name in also or ()])
     reporter.say(f"wrote {out} ({size(out.stat().st_size)})")
 
 

@@ -7,7 +7,7 @@ import math
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from echelon.scenario import Scenario
     from echelon.simulation import RunCost
 
-RepresentationName = Literal["rig", "skel", "points"]
+RepresentationName = Literal["auto", "rig", "skel", "points"]
 
 
 class Failure(Exception):
@@ -96,7 +96,7 @@ def run_and_report(
         if not ranks.is_first:
             return
         if out is not None:
-            _write_stage(reporter, recording, out, representation)
+            make_stage(reporter, recording, out, representation)
         unfilmed = _film_shot(reporter, recording, film) if film is not None else ""
     made = {"recording": folder, "stage": out, "film": None if unfilmed else film}
     report = _report(recording, clock, cost, made)
@@ -108,11 +108,22 @@ def run_and_report(
         raise Failure(unfilmed)
 
 
-def _write_stage(reporter: Reporter, recording: Recording, out: Path, representation: RepresentationName) -> None:
-    from echelon.export.usd import write_stage
+def make_stage(
+    reporter: Reporter,
+    recording: Recording,
+    out: Path,
+    representation: RepresentationName,
+    also: Sequence[Literal["rig", "skel", "points"]] = (),
+) -> None:
+    """Write a stage; where the representation was left open, say which one was chosen."""
+    from echelon.export.usd import suggested_representation, write_stage
 
+    if representation == "auto":
+        representation = suggested_representation(recording.agent_count)
+        others = " or ".join(name for name in ("rig", "skel", "points") if name != representation)
+        reporter.say(f"{out}: {recording.agent_count} agents as {representation}; --representation takes {others} too")
     with reporter.progress(str(out), "parts") as progress:
-        write_stage(recording, out, representation, progress)
+        write_stage(recording, out, representation, progress, also=also)
 
 
 def _film_shot(reporter: Reporter, recording: Recording, film: Path) -> str:

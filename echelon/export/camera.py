@@ -30,8 +30,11 @@ FIELD_OF_VIEW = float(np.radians(30.0))  # vertical
 AZIMUTH = float(np.radians(-118.0))  # where the camera stands, seen from what it looks at, from x towards y
 ELEVATION = float(np.radians(17.0))  # above the horizon
 OVERVIEW_ELEVATION = float(np.radians(34.0))
+SIDE_ELEVATION = float(np.radians(6.0))
 
 SMOOTHING = 1.5  # [s]
+SIDE_SMOOTHING = 0.4  # [s]
+BODY_REACH = 1.2  # [m] about a body's first link, in which all of it is, arms and legs stretched
 BODY_HEIGHT = 0.9  # [m] of the middle of what must be seen of a body, above its place on the ground
 BODY_RADIUS = 1.1  # [m] about that middle
 LEAST_SPAN = 3.0  # [m] either side of the middle of the action that is in the picture as well
@@ -131,16 +134,33 @@ def following_views(bodies: np.ndarray, actors: np.ndarray, frame_rate: int, asp
     framing = Framing(aspect)
     places = np.concatenate([bodies, _near(bodies, actors)], axis=1)
     limits = framing.limits(_with_least_span(places), BODY_RADIUS)
-    reach = smoothing_frames(frame_rate)
-    lowest = minimum_filter1d(limits, 2 * reach + 1, axis=0, mode="nearest")
-    weights = 1.0 + np.cos(np.pi * np.arange(-reach, reach + 1) / (reach + 1))
-    smooth = correlate1d(lowest, weights / weights.sum(), axis=0, mode="nearest")
-    return [framing.view(smooth[frame]) for frame in range(len(smooth))]
+    return [framing.view(smooth) for smooth in _smoothed(limits, smoothing_frames(frame_rate))]
+
+
+def side_views(bodies: np.ndarray, heading: float, frame_rate: int, aspect: float) -> list[View]:
+    """A view for each frame, from the right of those who face a heading, low and close, following up and down too.
+
+    Args:
+        bodies: Places of the bodies' first links [m], shape [frames, bodies, 3].
+        heading: Which way they face, from x towards y [rad].
+        frame_rate: Frames a second.
+        aspect: Width of the picture over its height.
+    """
+    framing = Framing(aspect, SIDE_ELEVATION, heading - 0.5 * np.pi)
+    smooth = _smoothed(framing.limits(bodies, BODY_REACH), max(round(SIDE_SMOOTHING * frame_rate), 1))
+    return [framing.view(limits) for limits in smooth]
 
 
 def smoothing_frames(frame_rate: int) -> int:
     """Frames either side over which `following_views` averages; twice as many decide about one view."""
     return max(round(SMOOTHING * frame_rate), 1)
+
+
+def _smoothed(limits: np.ndarray, reach: int) -> np.ndarray:
+    """Demands frame by frame, made smooth over some frames either side, so that each frame's own are still met."""
+    lowest = minimum_filter1d(limits, 2 * reach + 1, axis=0, mode="nearest")
+    weights = 1.0 + np.cos(np.pi * np.arange(-reach, reach + 1) / (reach + 1))
+    return correlate1d(lowest, weights / weights.sum(), axis=0, mode="nearest")
 
 
 def _near(bodies: np.ndarray, actors: np.ndarray) -> np.ndarray:

@@ -61,12 +61,16 @@ class DrawnWorld:
         fences: All of them.
         pen: The corral, if there is one.
         road: The road and what is around it, if it is one; there is nothing else then.
+        heading: Which way those face who perform, from x towards y [rad].
+        mat: Half length and half width of the mat on open ground [m]; None where there is none.
     """
 
     oval: tuple[float, float] | None
     fences: tuple[DrawnFence, ...]
     pen: DrawnPen | None
     road: DrawnRoad | None = None
+    heading: float = 0.0
+    mat: tuple[float, float] | None = None
 
 
 class PictureSource(Protocol):
@@ -154,4 +158,6 @@ def _drawn_world(world: Mapping[str, Any]) -> DrawnWorld:
         pen=None
         if corral is None
         else DrawnPen((float(corral["center"][0]), float(corral["center"][1])), float(corral["size"])),
+        heading=float(world.get("heading", 0.0)),
+        mat=(float(ground["half_length"]), float(ground["half_width"])) if ground["shape"] == "mat" else None,
     )

@@ -62,8 +62,8 @@ def render_film(
         fps: Pictures a second; None for the recording's frame rate. Each shows the nearest frame.
         start: Time of the first picture [s]; None for the beginning.
         seconds: How long [s]; None for the rest. What reaches beyond the end is left out.
-        camera: In a field, "follow" keeps all bodies in the picture, and actors that are near, "overview" shows all of
-            it, "corral" the corral. On a road, "follow" rides behind the group, "helicopter" flies above it,
+        camera: In a field, "follow" keeps all bodies in the picture, and actors that are near, "side" follows low and
+            close from their right, "overview" shows all of it, "corral" the corral. On a road, "follow" rides behind the group, "helicopter" flies above it,
             "roadside" stands beside the road and turns with it, and "overview" shows where all ride from one place.
             Or a `View`.
         progress: Called with (pictures done, pictures to do).

@@ -18,6 +18,8 @@ PATTERN_REACH = 60.0  # [m] around the action
 GRASS = np.array([0.105, 0.235, 0.055])
 MEADOW = np.array([0.130, 0.230, 0.072])  # outside the infield
 TRACK = np.array([0.42, 0.30, 0.19])  # around the infield
+MAT = np.array([0.055, 0.16, 0.34])
+MAT_EDGE = np.array([0.62, 0.60, 0.55])
 PEN_FLOOR = np.array([0.36, 0.29, 0.15])
 RAILS = np.array([0.80, 0.78, 0.72])
 PEN_RAILS = np.array([0.52, 0.16, 0.06])
@@ -28,6 +30,8 @@ ZENITH = np.array([0.20, 0.40, 0.75])
 
 _MATERIALS = {PEN_NAME: PEN_RAILS, COLUMNS_NAME: STONE}
 TRACK_WIDTH = 5.0  # [m]
+MAT_SQUARE = 1.0  # [m], about, of the pieces that a mat is made of
+MAT_MARGIN = 0.3  # [m], width of its edge
 HORIZON = 1600.0  # [m]
 _SEGMENTS = 96  # of rings far away
 _UP = np.array([0.0, 0.0, 1.0], dtype=np.float32)
@@ -53,6 +57,8 @@ def scenery(world: DrawnWorld, low: np.ndarray, high: np.ndarray, origin: np.nda
         half = half * min(1.0, float(np.sqrt(SQUARE_LIMIT * SQUARE**2 / (4.0 * half.prod()))))
         solid = [_mown(middle - half, middle + half, None)]
         edge = _rectangle_outline(half - SQUARE)
+    if world.mat is not None:
+        solid += _mat(np.asarray(world.mat))
     if world.pen is not None:
         solid.append(_pen_floor(world.pen))
     shadows = []
@@ -190,6 +196,22 @@ def _pen_floor(pen: DrawnPen) -> Surface:
     """Trodden ground inside the corral."""
     square = 0.5 * pen.size * np.array([[0.0, 0.0], [-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     return _fan(np.asarray(pen.center) + square, 0.0005, np.tile(PEN_FLOOR, (5, 1)))
+
+
+def _mat(half: np.ndarray) -> list[Surface]:
+    """A mat about the origin: its light edge, and pieces in two tones that let motion be read; half sizes [m]."""
+    square = np.array([[0.0, 0.0], [-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    edge = _fan(square * half, 0.0004, np.tile(MAT_EDGE, (5, 1)))
+    inside = np.maximum(half - MAT_MARGIN, 0.5 * half)
+    counts = np.maximum(np.round(2.0 * inside / MAT_SQUARE), 1).astype(int)
+    size = 2.0 * inside / counts
+    column, row = (part.ravel() for part in np.meshgrid(np.arange(counts[0]), np.arange(counts[1]), indexing="ij"))
+    tone = 1.0 + 0.1 * ((row + column) % 2) + 0.04 * _scatter(column, row)
+    pieces = []
+    for place, shade in zip(np.column_stack([column, row]), tone, strict=True):
+        middle = -inside + (place + 0.5) * size
+        pieces.append(_fan(middle + 0.5 * square * size, 0.0008, np.tile(MAT * shade, (5, 1))))
+    return [edge, joined(pieces)]
 
 
 def _fan(outline: np.ndarray, height: float, albedo: np.ndarray) -> Surface:

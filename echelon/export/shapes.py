@@ -176,9 +176,11 @@ def wall_mesh(points: Sequence[Sequence[float]] | np.ndarray, closed: bool, heig
 
 
 def ground_mesh(ground: Mapping[str, object], margin: float = 0.0) -> Mesh:
-    """Mesh of a recording's ground: ``oval`` or ``plane``, wider by a margin all round [m]."""
+    """Mesh of a recording's ground: ``oval``, ``mat`` or ``plane``, wider by a margin all round [m]."""
     if ground.get("shape") == "oval":
         return oval_mesh(_length(ground, "half_length") + margin, _length(ground, "half_width") + margin)
+    if ground.get("shape") == "mat":
+        return rectangle_mesh(_length(ground, "half_length") + margin, _length(ground, "half_width") + margin)
     half_size = _length(ground, "half_size") + margin
     return rectangle_mesh(half_size, half_size)
 

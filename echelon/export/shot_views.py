@@ -16,13 +16,14 @@ from echelon.export.camera import (
     View,
     fixed_view,
     following_views,
+    side_views,
     smoothing_frames,
 )
 from echelon.export.picture_source import PictureSource
 from echelon.export.road_cameras import RoadCamera, camera_way, reach_seconds
 
-Camera = Literal["follow", "overview", "corral", "roadside", "helicopter"] | View
-FIELD_CAMERAS = ("follow", "overview", "corral")
+Camera = Literal["follow", "side", "overview", "corral", "roadside", "helicopter"] | View
+FIELD_CAMERAS = ("follow", "side", "overview", "corral")
 ROAD_CAMERAS = ("follow", "overview", "roadside", "helicopter")
 
 # Where a camera may stand that shows a road from one place: as low as it can, unless something is in the way.
@@ -63,7 +64,7 @@ class ShotViews:
             return [self._overview(frames)] * len(frames)
         if camera in ("roadside", "helicopter") or on_road:
             return self._along_the_road(frames, camera)
-        return self._following(frames)
+        return self._following(frames, from_the_side=camera == "side")
 
     def common(self, frames: Sequence[int]) -> View | None:
         """One view of all bodies at all of some frames; None where they move too far for that."""
@@ -112,12 +113,15 @@ class ShotViews:
             for row in (frame - first for frame in frames)
         ]
 
-    def _following(self, frames: Sequence[int]) -> list[View]:
+    def _following(self, frames: Sequence[int], from_the_side: bool = False) -> list[View]:
         reach = 2 * smoothing_frames(self._source.frame_rate)
         first = max(frames[0] - reach, 0)
         last = min(frames[-1] + reach + 1, self._source.frame_count)
         bodies, actors = self._places(first, last)
-        views = following_views(bodies[..., :2], actors, self._source.frame_rate, self._aspect)
+        if from_the_side:
+            views = side_views(bodies, self._source.world.heading, self._source.frame_rate, self._aspect)
+        else:
+            views = following_views(bodies[..., :2], actors, self._source.frame_rate, self._aspect)
         return [views[frame - first] for frame in frames]
 
     def _overview(self, frames: Sequence[int]) -> View:

@@ -23,7 +23,8 @@ def read_world(world: Usd.Prim) -> DrawnWorld:
     """Ground and fences, the corral being the square around the fence of that name; or a road."""
     if world.GetChild(ROAD):
         return DrawnWorld(None, (), None, _read_road(world))
-    oval, fences, pen = None, [], None
+    oval, fences, pen, mat = None, [], None, None
+    heading = float(world.GetCustomDataByKey("heading") or 0.0)
     for prim in world.GetChildren():
         meshes = meshes_beneath(prim)
         if prim.GetName() == "Ground":
@@ -31,13 +32,16 @@ def read_world(world: Usd.Prim) -> DrawnWorld:
                 points = drawn_part(turf, world).mesh.points
                 if len(np.unique(points, axis=0)) > _RECTANGLE_POINTS:
                     oval = (float(np.abs(points[:, 0]).max()), float(np.abs(points[:, 1]).max()))
+            for found in (mesh for mesh in meshes if mesh.GetName() == "mat"):
+                points = drawn_part(found, world).mesh.points
+                mat = (float(np.abs(points[:, 0]).max()), float(np.abs(points[:, 1]).max()))
             continue
         fences += [DrawnFence(prim.GetName(), drawn_part(mesh, world).mesh) for mesh in meshes]
         if prim.GetName() == PEN_NAME and meshes:
             low, high = fences[-1].mesh.extent[:, :2].astype(np.float64)
             middle = 0.5 * (low + high)
             pen = DrawnPen((float(middle[0]), float(middle[1])), float((high - low).max()) - 2.0 * POST_HALF_WIDTH)
-    return DrawnWorld(oval, tuple(fences), pen)
+    return DrawnWorld(oval, tuple(fences), pen, heading=heading, mat=mat)
 
 
 # ---- a road --------------------------------------------------------------------------------------------------------

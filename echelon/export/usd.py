@@ -84,7 +84,7 @@ def suggested_clip_frames(recording: Recording) -> int:
 def write_stage(
     recording: Recording,
     path: str | os.PathLike[str],
-    representation: Representation = "rig",
+    representation: Representation | Literal["auto"] = "auto",
     progress: Progress | None = None,
     *,
     also: Sequence[Representation] = (),
@@ -96,7 +96,8 @@ def write_stage(
         recording: What happened.
         path: Where to; .usd and .usdc are binary, .usda is text.
         representation: Of the crowd: ``rig`` (a transform a link), ``skel`` (an instanced skeleton an agent) or
-            ``points`` (a point instancer a link); the one that the stage shows.
+            ``points`` (a point instancer a link); the one that the stage shows. ``auto`` takes what
+            `suggested_representation` says.
         progress: Called with (done, total) as the work goes on.
         also: Further representations to choose from in the variant set.
         clip_frames: Frames in each value clip, in a folder beside the stage (see `echelon.export.stage.clips`); 0 for
@@ -109,10 +110,13 @@ def write_stage(
         InputError: The path cannot be written to, a representation is unknown, or a pose is not finite.
     """
     target = checked_stage_path(path)
+    if representation == "auto":
+        representation = suggested_representation(recording.agent_count)
     wanted = [name for name in get_args(Representation) if name == representation or name in also]
     for name in (representation, *also):
         if name not in wanted:
-            raise InputError(f"representation {name!r} is not one of {', '.join(get_args(Representation))}")
+            allowed = ", ".join(("auto", *get_args(Representation)))
+            raise InputError(f"representation {name!r} is not one of {allowed}")
     check_clips_folder(target)
     if clip_frames is None:
         clip_frames = suggested_clip_frames(recording)

@@ -14,7 +14,17 @@ import numpy as np
 import warp as wp
 
 from echelon.flocking.commanded import command_constant, command_random
-from echelon.flocking.herding import BLOCK, HerdMind, HerdRules, Seen, enter_herd, find_farthest, look_round, make_up_mind, want
+from echelon.flocking.herding import (
+    BLOCK,
+    HerdMind,
+    HerdRules,
+    Seen,
+    enter_herd,
+    find_farthest,
+    look_round,
+    make_up_mind,
+    want,
+)
 from echelon.flocking.marching import follow_march, march_of
 from echelon.flocking.perception import pen_of
 from echelon.scenario import HerdSettings, WorldSettings

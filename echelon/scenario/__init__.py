@@ -1,13 +1,16 @@
 """A scenario: who stands where, what they want, in which world, for how long. A TOML file or these dataclasses."""
 
 from echelon.scenario.herd import CollieSettings, HerdSettings
+from echelon.scenario.performance import PERFORMERS, CastSettings, PerformanceSettings, ScriptSettings
 from echelon.scenario.road import ObstacleSettings, PelotonSettings, TacticsSettings, UserSettings
 from echelon.scenario.scenario import CHARACTERS, RIDERS, CrowdSettings, EngineSettings, Scenario, ShotSettings
 from echelon.scenario.world import ColumnFieldSettings, CorralSettings, GapSettings, WallSettings, WorldSettings
 
 __all__ = [
     "CHARACTERS",
+    "PERFORMERS",
     "RIDERS",
+    "CastSettings",
     "CollieSettings",
     "ColumnFieldSettings",
     "CorralSettings",
@@ -17,7 +20,9 @@ __all__ = [
     "HerdSettings",
     "ObstacleSettings",
     "PelotonSettings",
+    "PerformanceSettings",
     "Scenario",
+    "ScriptSettings",
     "ShotSettings",
     "TacticsSettings",
     "UserSettings",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,8 +20,9 @@ import numpy as np
 from echelon.errors import InputError
 from echelon.scenario.files import copied, one_line, override, parse, scenario_path
 from echelon.scenario.herd import CollieSettings, HerdSettings
+from echelon.scenario.performance import PERFORMERS, CastSettings, PerformanceSettings
 from echelon.scenario.road import ObstacleSettings, PelotonSettings, UserSettings
-from echelon.scenario.starting_places import hexagonal_places, jitter, overlapping_pair
+from echelon.scenario.starting_places import PATTERNS, Pattern, jitter, overlapping_pair
 from echelon.scenario.world import Point, WorldSettings, place_text
 from echelon.settings import SettingError, Within, adopt, plain, read, shown, suggestion, to_toml
 
@@ -30,6 +31,7 @@ CHARACTERS: Mapping[str, str] = {
     "cyclist": "rider of 12 segments on a racing bicycle",
     "cyclist-1995": "rider of 15 segments on a racing bicycle",
     "point-mass": "puck that takes up any velocity, as far as its acceleration allows",
+    **PERFORMERS,
 }
 """The characters that a crowd can be made of, and a line about each."""
 
@@ -50,11 +52,15 @@ class CrowdSettings:
         character: Name of the character; see `CHARACTERS`.
         count: How many.
         start_center: Middle of the region where they start [m].
-        start_spacing: Distance between neighbours of the hexagonal pattern they start in [m].
+        start_pattern: What they start in: a "hexagonal" pattern, a "line", "rows" or a "circle"; lines lie along y, and
+            turn with `performance.heading`.
+        start_rows: Of "rows", how many; 0 for about as many as there are in each.
+        start_spacing: Distance between neighbours of the pattern that they start in [m].
         start_jitter: Each is moved from its place in the pattern by up to this, along x and along y [m].
         start_velocity: Everybody's at the start (x, y); riders must have one [m/s].
         positions: Start positions (x, y), one for each, instead of the pattern [m].
-        variation: Relative spread between individuals: of a hopper's leg stiffness and hop height, of a rider's power.
+        variation: Relative spread between individuals: of a hopper's leg stiffness and hop height, of a rider's power;
+            gymnasts go by `performance`.
         in_phase: All start at the same phase of their hop, or of their cranks.
         fallen: What becomes of who falls: they "lie" there, "stand" up where they lie once there is room, or are taken
             away ("remove").
@@ -67,6 +73,8 @@ class CrowdSettings:
     character: str = "hopper"
     count: Annotated[int, Within(at_least=1, at_most=1_000_000)] = 16
     start_center: Annotated[Point, Within("m", at_least=-1e5, at_most=1e5)] = (0.0, 0.0)
+    start_pattern: Pattern = "hexagonal"
+    start_rows: Annotated[int, Within(at_least=0, at_most=1_000_000)] = 0
     start_spacing: Annotated[float, Within("m", above=0, at_most=1e3)] = 2.5
     start_jitter: Annotated[float, Within("m", at_least=0, at_most=1e3)] = 0.3
     start_velocity: Annotated[Point, Within("m/s", at_least=-20, at_most=20)] = (0.0, 0.0)
@@ -131,7 +139,8 @@ class ShotSettings:
         first_frame: First frame of the shot; negative numbers count from the end of the run, -1 is its last frame.
         last_frame: Last frame of the shot, itself included; likewise.
         preroll: Time simulated before frame 0, and not recorded [s].
-        camera: "follow" keeps the action framed, "overview" shows the whole field, "corral" the corral, "roadside"
+        camera: "follow" keeps the action framed, "side" does from the right of those who face a heading, low and
+            close, "overview" shows the whole field, "corral" the corral, "roadside"
             stands beside the road and pans, "helicopter" flies along.
         size: Width and height of the film, even numbers [pixels].
         film_every: Every how many frames the film takes one.
@@ -140,7 +149,7 @@ class ShotSettings:
     first_frame: Annotated[int, Within(at_least=-100_000_000, at_most=100_000_000)] = 0
     last_frame: Annotated[int, Within(at_least=-100_000_000, at_most=100_000_000)] = -1
     preroll: Annotated[float, Within("s", at_least=0, at_most=1e4)] = 0.0
-    camera: Literal["follow", "overview", "corral", "roadside", "helicopter"] = "follow"
+    camera: Literal["follow", "side", "overview", "corral", "roadside", "helicopter"] = "follow"
     size: Annotated[tuple[int, int], Within("pixels", at_least=16, at_most=8192)] = (640, 360)
     film_every: Annotated[int, Within(at_least=1, at_most=1000)] = 1
 
@@ -176,6 +185,7 @@ class Scenario:
             who still rides has come in, the user too.
         crowd, world, engine, shot: See their classes.
         herd, collie: On a field. No `collie`: nobody chases anybody.
+        performance: Of gymnasts. None: they stand.
         peloton, user, obstacles: On a road. No `user`: the crowd rides alone.
     """
 
@@ -191,6 +201,7 @@ class Scenario:
     herd: HerdSettings = field(default_factory=HerdSettings)
     world: WorldSettings = field(default_factory=WorldSettings)
     collie: CollieSettings | None = None
+    performance: PerformanceSettings | None = None
     peloton: PelotonSettings = field(default_factory=PelotonSettings)
     user: UserSettings | None = None
     obstacles: tuple[ObstacleSettings, ...] = ()
@@ -212,6 +223,7 @@ class Scenario:
             self._check_road()
         else:
             self._check_field()
+            self._check_performance()
             self._check_start()
             self._check_collie()
 
@@ -224,18 +236,27 @@ class Scenario:
     def start_positions(self) -> np.ndarray:
         """Where each one starts [m], shape [count, 2].
 
-        The pattern grows from its centre: an agent starts at the same place however many others there are.
+        A hexagonal pattern or a line grows from its centre: an agent starts at the same place however many others
+        there are.
         """
         crowd = self.crowd
         if crowd.positions:
             return np.array(crowd.positions, dtype=np.float64)
-        places = hexagonal_places(crowd.count) * crowd.start_spacing
+        places = PATTERNS[crowd.start_pattern](crowd.count, crowd.start_rows) * crowd.start_spacing
+        if crowd.start_pattern != "hexagonal" and self.performance is not None:
+            c, s = math.cos(self.performance.heading), math.sin(self.performance.heading)
+            places = places @ np.array([[c, s], [-s, c]])
         return places + np.array(crowd.start_center) + crowd.start_jitter * jitter(crowd.count, self.population_seed)
 
     @property
     def on_road(self) -> bool:
         """Whether it plays on a road."""
         return self.world.ground == "road"
+
+    @property
+    def performs(self) -> bool:
+        """Whether the crowd are gymnasts, who follow scripts."""
+        return self.crowd.character in PERFORMERS
 
     # ---- checks ----------------------------------------------------------------------------------------------------
     def _check_road(self) -> None:
@@ -262,6 +283,26 @@ class Scenario:
             if value is not None:
                 raise SettingError(key, ": needs world.ground = 'road'")
 
+    def _check_performance(self) -> None:
+        if not self.performs:
+            if self.performance is not None:
+                allowed = ", ".join(PERFORMERS)
+                raise SettingError("performance", f": needs crowd.character to be one of {allowed}")
+            return
+        if self.collie is not None:
+            raise SettingError("collie", f": must be left out for a {self.crowd.character}")
+        if self.until:
+            raise SettingError("until", f" = {shown(self.until)}: must be left out for a {self.crowd.character}")
+        if self.crowd.fallen != "lie":
+            raise SettingError(
+                "crowd.fallen", f" = {shown(self.crowd.fallen)}: must be 'lie' for a {self.crowd.character}"
+            )
+        if self.crowd.start_velocity != (0.0, 0.0):
+            raise SettingError(
+                "crowd.start_velocity",
+                f" = {list(self.crowd.start_velocity)}: must be left out for a {self.crowd.character}",
+            )
+
     def _check_start(self) -> None:
         crowd, least = self.crowd, 2.0 * self.herd.radius
         if crowd.positions and len(crowd.positions) != crowd.count:
@@ -287,6 +328,12 @@ class Scenario:
         if len(tight):
             index = int(tight[0])
             where = "outside the infield" if self.world.room(positions[index]) < 0.0 else "across a fence"
+            if index and not crowd.positions:
+                raise SettingError(
+                    "crowd.count",
+                    f" = {crowd.count}: agent {index} would start at {place_text(positions[index])}, {where}; about "
+                    f"{index} fit: {self._more_room(positions)}",
+                )
             key = f"crowd.positions[{index}]" if crowd.positions else "crowd.start_center"
             value = crowd.positions[index] if crowd.positions else crowd.start_center
             raise SettingError(
@@ -294,6 +341,17 @@ class Scenario:
                 f" = {list(value)}: agent {index} would start at {place_text(positions[index])}, {where}; must be at "
                 f"least the radius, {self.herd.radius:g} m, inside every fence",
             )
+
+    def _more_room(self, positions: np.ndarray) -> str:
+        """What to set so that everybody fits into the field who would start at these places, in the pattern."""
+        world = self.world
+        text = f"lower crowd.count or crowd.start_spacing ({self.crowd.start_spacing:g} m)"
+        wide = math.ceil(float(np.hypot(*positions.T).max()) + self.herd.radius)
+        keys = "world.half_width" if world.half_length >= wide else "world.half_width and world.half_length"
+        larger = replace(world, half_width=max(wide, world.half_width), half_length=max(wide, world.half_length))
+        if larger.clearance(positions).min() >= self.herd.radius:
+            return f"{text}, or raise {keys} to {wide} m"
+        return f"{text}, or move crowd.start_center or the fences and columns that are in the way (world.*)"
 
     def _check_collie(self) -> None:
         if self.collie is None:
@@ -320,6 +378,7 @@ class Scenario:
         data = parse(path)
         data.setdefault("name", "".join(c if c.isascii() and c.isalnum() else "-" for c in path.stem))
         _find_course(data, path.parent)
+        _find_maneuvers(data, path.parent)
         return cls.from_dict(data, source=one_line(source), overrides=overrides)
 
     @classmethod
@@ -339,6 +398,7 @@ class Scenario:
         crowd = merged.get("crowd")
         if isinstance(crowd, dict) and isinstance(crowd.get("positions"), list) and crowd["positions"]:
             crowd.setdefault("count", len(crowd["positions"]))
+        _take_character_of_cast(merged)
         try:
             return read(cls, merged)
         except SettingError as error:
@@ -362,3 +422,34 @@ def _find_course(data: dict[str, Any], folder: Path) -> None:
         beside = folder / course
         if isinstance(world, dict) and beside.exists():
             world["course"] = str(beside)
+
+
+def _find_maneuvers(data: dict[str, Any], folder: Path) -> None:
+    """Maneuvers that are files are looked for likewise."""
+
+    def found(name: Any) -> Any:
+        if isinstance(name, list):
+            return [found(entry) for entry in name]
+        if isinstance(name, str) and name.endswith(".toml") and not Path(name).exists() and (folder / name).exists():
+            return str(folder / name)
+        return name
+
+    performance = data.get("performance")
+    if not isinstance(performance, dict):
+        return
+    casts = performance.get("casts")
+    for table in (performance, *(casts if isinstance(casts, list) else ())):
+        for key in ("maneuver", "waiting"):
+            if isinstance(table, dict) and key in table:
+                table[key] = found(table[key])
+
+
+def _take_character_of_cast(data: dict[str, Any]) -> None:
+    """The crowd's character is that of its first cast, if it has casts and names none."""
+    performance = data.get("performance")
+    casts = performance.get("casts") if isinstance(performance, dict) else None
+    if not isinstance(casts, list) or not casts or not isinstance(casts[0], dict):
+        return
+    crowd = data.setdefault("crowd", {})
+    if isinstance(crowd, dict):
+        crowd.setdefault("character", casts[0].get("character", CastSettings.character))

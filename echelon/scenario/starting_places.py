@@ -1,10 +1,14 @@
-"""Where a crowd starts: a hexagonal pattern, a little jitter, and the check that no two overlap."""
+"""Where a crowd starts: a pattern, a little jitter, and the check that no two overlap."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
+from typing import Literal
 
 import numpy as np
+
+Pattern = Literal["hexagonal", "line", "rows", "circle"]
 
 
 def hexagonal_places(count: int) -> np.ndarray:
@@ -18,6 +22,43 @@ def hexagonal_places(count: int) -> np.ndarray:
     points = np.stack([i + 0.5 * j, math.sqrt(0.75) * j], axis=1)
     order = np.lexsort((np.round(np.arctan2(points[:, 1], points[:, 0]), 6), norm))
     return points[order[:count]]
+
+
+def line_places(count: int) -> np.ndarray:
+    """``count`` points along y, one apart, from the middle outwards to both sides in turn, shape [count, 2]."""
+    steps = np.arange(count)
+    return np.column_stack([np.zeros(count), (steps + 1) // 2 * np.where(steps % 2, 1.0, -1.0) + 0.0])
+
+
+def row_places(count: int, rows: int) -> np.ndarray:
+    """``count`` points in rows along y, one apart, the first in front (x), the last maybe shorter, shape [count, 2].
+
+    Args:
+        count: How many.
+        rows: At most; 0 for about as many as there are points in a row.
+    """
+    rows = min(rows or max(round(math.sqrt(count)), 1), count)
+    columns = -(-count // rows)
+    row, column = np.divmod(np.arange(count), columns)
+    widths = np.minimum(count - row * columns, columns)
+    return np.column_stack([0.5 * (-(-count // columns) - 1) - row, column - 0.5 * (widths - 1)])
+
+
+def circle_places(count: int) -> np.ndarray:
+    """``count`` points of a circle about the origin, neighbours one apart, shape [count, 2]."""
+    if count == 1:
+        return np.zeros((1, 2))
+    angles = 2.0 * math.pi * np.arange(count) / count
+    return 0.5 / math.sin(math.pi / count) * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+PATTERNS: Mapping[Pattern, Callable[[int, int], np.ndarray]] = {
+    "hexagonal": lambda count, rows: hexagonal_places(count),
+    "line": lambda count, rows: line_places(count),
+    "rows": row_places,
+    "circle": lambda count, rows: circle_places(count),
+}
+"""Places of ``count`` agents, neighbours one apart, in so many rows (which only "rows" goes by), shape [count, 2]."""
 
 
 def jitter(count: int, seed: int) -> np.ndarray:

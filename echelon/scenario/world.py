@@ -1,4 +1,4 @@
-"""Where a scenario plays: a fenced infield, an open plane, or a road."""
+"""Where a scenario plays: a fenced infield, an open plane, a mat, or a road."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ class WorldSettings:
 
     Attributes:
         ground: "oval" is a fenced infield of two straight sides and two half circles about the origin; "plane" is open;
-            "road" is a course with the land around it, and for riders.
+            "mat" is open too, and has a mat on it to be seen, half_length by half_width; "road" is a course with the land around it, and for riders.
         course: For a road, the name of a course that ships, or the path of a course (.toml) or a GPS track (.gpx).
         laps: How often a race goes round the course; 0 takes what the course says.
         half_length: Half the infield's length along x; of a plane, half the side of the square that is drawn [m].
@@ -180,7 +180,7 @@ class WorldSettings:
         column_height: Of all columns [m].
     """
 
-    ground: Literal["oval", "plane", "road"] = "oval"
+    ground: Literal["oval", "plane", "mat", "road"] = "oval"
     course: str = ""
     laps: Annotated[int, Within(at_least=0, at_most=1000)] = 0
     half_length: Annotated[float, Within("m", above=0, at_most=1e5)] = 45.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -64,6 +64,9 @@ class Field:
         people = started(character, crowd, self.scenario.population_seed)
         places = self.scenario.start_positions()
         return people, np.column_stack([places, np.zeros(len(places))])
+
+    def prepare(self, engines: Sequence[Engine]) -> None:
+        """Everything that they go by comes frame by frame."""
 
     def public(self) -> dict[str, wp.array]:
         return {"intended": self.group.herd.arrays.intended}

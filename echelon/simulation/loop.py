@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import colorsys
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -27,14 +27,16 @@ from typing import Any
 
 import numpy as np
 
-from echelon.agents.characters import character_named
 from echelon.ranks import Ranks
 from echelon.recording import EVENT_DTYPE, EVENT_NAMES, Cast, Recording, RecordingWriter
 from echelon.scenario import Scenario
+from echelon.simulation.casts import casts_of, joined_states, share_public
 from echelon.simulation.cost import PhaseClock, RunCost
 from echelon.simulation.fallen import Fallen
 from echelon.simulation.field import Field
+from echelon.simulation.gym import Gym
 from echelon.simulation.road import Road
+from echelon.simulation.roles import with_scripts
 from echelon.simulation.scene import Scene, SceneFrames
 from echelon.simulation.telling import Telling
 from echelon.warp_kernels.character import Character
@@ -54,9 +56,10 @@ class Simulation:
 
     Attributes:
         scenario: What runs.
-        character: Who.
+        casts: Who.
         scene: Where, and what they want.
-        engine: Everybody's bodies.
+        engines: Everybody's bodies, an engine for each cast that has agents here; those of one crowd share what agents
+            see of one another.
         fallen: What becomes of those who fall.
         frame: Frames done; frame 0, the start, counts as one once it has been observed.
         counts: How often each kind of event has happened, in chunks that are done.
@@ -91,30 +94,22 @@ class Simulation:
         self.ranks = ranks or Ranks()
         self.ranks.check(scenario.crowd.count)
         first, count = self.ranks.part(scenario.crowd.count)
-        crowd, settings = scenario.crowd, scenario.engine
+        scenario = with_scripts(scenario) if scenario.performs else scenario
         self.scenario = scenario
-        self.character = character_named(crowd.character)
-        self.scene: Scene = Road(scenario, device, world) if scenario.on_road else Field(scenario, device)
-        needs = self.character.steps_per_second, self.character.steps_per_tick
-        substeps, tick = settings.stride(scenario.frame_rate, *needs)
-        self.engine = Engine(
-            self.character,
-            count,
-            self.scene.terrain,
-            frame_rate=scenario.frame_rate,
-            substeps=substeps,
-            tick=tick,
-            integrator=settings.integrator,
-            lanes=settings.lanes,
-            threads=settings.threads if threads is None else threads,
-            device=device,
-            first_agent=first,
-            crowd_count=crowd.count,
-            contact=ContactSettings(crowd.restitution, crowd.friction) if crowd.contact else None,
-        )
-        self.scene.divide(Share(crowd.count, first, count, self.engine.team, self.scene.beyond))
+        self.mine = slice(first, first + count)
+        self.casts = casts_of(scenario)
+        if scenario.performs:
+            self.scene: Scene = Gym(scenario, self.casts, device)
+        else:
+            self.scene = Road(scenario, device, world) if scenario.on_road else Field(scenario, device)
+        parts = [(cast, range(max(cast.first, first), min(cast.agents.stop, first + count))) for cast in self.casts]
+        threads = scenario.engine.threads if threads is None else threads
+        self.engines = tuple(self._engine_of(cast.character, part, threads, device) for cast, part in parts if part)
+        share_public(self.engines)
+        self.scene.divide(Share(scenario.crowd.count, first, count, self.engine.team, self.scene.beyond))
         with self.ranks.first_before_others():
-            self.engine.load()
+            for engine in self.engines:
+                engine.load()
             self.scene.load()
         self._populate()
         self.fallen = Fallen(scenario, self.engine)
@@ -125,7 +120,38 @@ class Simulation:
         self._seen = partial(self.clock.lap, "see")
         public = {f"engine.{name}": array for name, array in self.engine.public.items()}
         public |= {f"scene.{name}": array for name, array in self.scene.public().items()}
-        self._tell = Telling(self.ranks, crowd.count, public)
+        self._tell = Telling(self.ranks, scenario.crowd.count, public)
+
+    def _engine_of(self, character: Character, agents: range, threads: int, device: str) -> Engine:
+        """The engine of some agents of the crowd, by their numbers."""
+        crowd, settings = self.scenario.crowd, self.scenario.engine
+        needs = character.steps_per_second, character.steps_per_tick
+        substeps, tick = settings.stride(self.scenario.frame_rate, *needs)
+        return Engine(
+            character,
+            len(agents),
+            self.scene.terrain,
+            frame_rate=self.scenario.frame_rate,
+            substeps=substeps,
+            tick=tick,
+            integrator=settings.integrator,
+            lanes=settings.lanes,
+            threads=threads,
+            device=device,
+            first_agent=agents.start,
+            crowd_count=crowd.count,
+            contact=ContactSettings(crowd.restitution, crowd.friction) if crowd.contact else None,
+        )
+
+    @property
+    def engine(self) -> Engine:
+        """The engine of the first cast, the only one of most crowds."""
+        return self.engines[0]
+
+    @property
+    def character(self) -> Character:
+        """Who the first cast are; phases, events and records are the same for all."""
+        return self.casts[0].character
 
     @property
     def bytes_told(self) -> int:
@@ -139,14 +165,15 @@ class Simulation:
 
     def _populate(self) -> None:
         people, places = self.scene.people(self.character)
-        mine = self.engine.mine
-        self.engine.set_q(people.q[mine])
-        self.engine.set_u(people.u[mine])
-        for name, values in people.parameters.items():
-            self.engine.set_parameter(name, values[mine])
-        for name, values in people.memory.items():
-            self.engine.set_memory(name, values[mine])
-        self.engine.set_origins(places[mine])
+        for engine in self.engines:
+            engine.set_q(people.q[engine.mine])
+            engine.set_u(people.u[engine.mine])
+            for name, values in people.parameters.items():
+                engine.set_parameter(name, values[engine.mine])
+            for name, values in people.memory.items():
+                engine.set_memory(name, values[engine.mine])
+            engine.set_origins(places[engine.mine])
+        self.scene.prepare(self.engines)
 
     # ---- state -----------------------------------------------------------------------------------------------------
     def state(self) -> dict[str, np.ndarray]:
@@ -160,9 +187,8 @@ class Simulation:
 
     def agent_state(self) -> dict[str, np.ndarray]:
         """What there is of it with a row for each agent, of this rank."""
-        mine = self.engine.mine
-        engine = {f"engine.{name}": array for name, array in self.engine.full_state().items()}
-        scene = {f"scene.{k}": array[mine] for k, array in self.scene.state().items() if k in self.scene.by_agent}
+        engine = {f"engine.{name}": array for name, array in joined_states(self.engines).items()}
+        scene = {f"scene.{k}": array[self.mine] for k, array in self.scene.state().items() if k in self.scene.by_agent}
         scene |= {f"fallen.{name}": array for name, array in self.fallen.state().items()}
         return engine | scene | {"measure_sums": self.measure_sums.copy()}
 
@@ -173,11 +199,12 @@ class Simulation:
             room, _, rest = name.partition(".")
             if rest:
                 parts[room][rest] = array
-        self.engine.load_full_state(parts["engine"])
+        for engine in self.engines:
+            engine.load_full_state(parts["engine"])
         self.scene.load_state(parts["scene"])
         self.fallen.load_state(parts["fallen"])
         self.counts = dict(zip(self.counts, map(int, state["counts"]), strict=True))
-        self.measure_sums = np.array(state["measure_sums"][self.engine.mine])
+        self.measure_sums = np.array(state["measure_sums"][self.mine])
         self.frame = frame
         self.scene.begin()
 
@@ -201,7 +228,8 @@ class Simulation:
         clock.start()
         if self.frame > 0:
             seen.events += self.fallen.step(self.frame)
-        self.engine.advance(slot, observe_only=self.frame == 0)
+        for engine in self.engines:
+            engine.advance(slot, observe_only=self.frame == 0)
         clock.lap("act")
         self._tell()
         clock.lap("exchange")
@@ -213,16 +241,25 @@ class Simulation:
         clock.lap("record")
         self.frame += 1
 
+    def bind(self, frames: int) -> tuple[ChunkArrays, ...]:
+        """Let each engine observe into a chunk of so many frames; returns the chunks, engine by engine."""
+        chunks = []
+        for engine in self.engines:
+            chunks.append(ChunkArrays.allocate(frames, engine.agent_count, engine.character, engine.device))
+            engine.bind(chunks[-1])
+        return tuple(chunks)
+
     def preroll(self) -> None:
         """Simulate the scenario's preroll, unrecorded; frame 0 is where it ends."""
         count = round(self.scenario.shot.preroll * self.scenario.frame_rate)
         if count == 0:
             return
-        self.engine.bind(ChunkArrays.allocate(1, self.engine.agent_count, self.character, self.engine.device))
+        self.bind(1)
         for frame in range(count):
             if frame > 0:
                 self.fallen.step(frame - count)
-            self.engine.advance(0, observe_only=frame == 0)
+            for engine in self.engines:
+                engine.advance(0, observe_only=frame == 0)
             self._tell()
             self.scene.step(frame - count, self.engine)
         self.scene.begin()
@@ -256,7 +293,8 @@ class Simulation:
 
     def close(self) -> None:
         """Let go of threads."""
-        self.engine.close()
+        for engine in self.engines:
+            engine.close()
 
 
 def simulate(
@@ -291,14 +329,13 @@ def simulate(
     with ExitStack() as stack:
         simulation = Simulation(scenario, threads=threads, device=device, ranks=ranks)
         stack.callback(simulation.close)
-        character = simulation.character
         writer = stack.enter_context(
             RecordingWriter.create(
                 recording,
-                scenario=scenario.to_dict(),
+                scenario=simulation.scenario.to_dict(),
                 frame_rate=scenario.frame_rate,
                 frame_limit=scenario.step_count + 1,
-                casts=[Cast(character.name, character.body, 0, scenario.crowd.count, colors(scenario.crowd.count))],
+                casts=_recorded_casts(simulation),
                 world=simulation.scene.world,
                 actors=simulation.scene.actors,
                 phase_names=simulation.fallen.phase_names,
@@ -309,7 +346,7 @@ def simulate(
         simulation.preroll()
         _run(simulation, writer, progress)
         if cost is not None:
-            cost.fill_in(simulation.clock, simulation.engine.team.size, simulation.ranks)
+            cost.fill_in(simulation.clock, max(e.team.size for e in simulation.engines), simulation.ranks)
     return Recording(recording)
 
 
@@ -345,22 +382,21 @@ def resume(
             simulation.load_state(state, writer.next_frame)
         _run(simulation, writer, progress)
         if cost is not None:
-            cost.fill_in(simulation.clock, simulation.engine.team.size, simulation.ranks)
+            cost.fill_in(simulation.clock, max(e.team.size for e in simulation.engines), simulation.ranks)
     return Recording(recording)
 
 
 def _run(simulation: Simulation, writer: RecordingWriter, progress: Progress | None) -> None:
     """From the present frame to the end, a chunk at a time; what has been simulated is written meanwhile."""
     total = writer.frame_limit
-    engine = simulation.engine
     length = min(writer.chunk_frames, total)
-    chunk = ChunkArrays.allocate(length, engine.agent_count, engine.character, engine.device)
-    engine.bind(chunk)
+    chunks = simulation.bind(length)
+    own_count = sum(engine.agent_count for engine in simulation.engines)
     while simulation.frame < total and not simulation.finished:
         simulation.clock.start()
-        first, frozen = simulation.frame, engine.frozen
+        first, frozen = simulation.frame, [engine.frozen for engine in simulation.engines]
         writer.begin_chunk(simulation.shared_state(), simulation.agent_state())
-        seen = SceneFrames.allocate(length, simulation.scene, engine.agent_count)
+        seen = SceneFrames.allocate(length, simulation.scene, own_count)
         simulation.clock.lap("record")
         count = given = 0
         going_on = True
@@ -372,15 +408,19 @@ def _run(simulation: Simulation, writer: RecordingWriter, progress: Progress | N
             going_on = count < length and simulation.frame < total and not simulation.finished
             if count - given == writer.piece_frames or not going_on:
                 simulation.clock.start()
-                writer.extend(_frames(chunk, seen, slice(given, count), engine.character))
+                writer.extend(_frames(chunks, seen, slice(given, count), simulation.character))
                 simulation.clock.lap("record")
                 given = count
         simulation.clock.start()
-        events = _events(chunk, seen, engine, first, count, frozen)
+        found = [
+            _events(chunk, engine, first, count, before)
+            for chunk, engine, before in zip(chunks, simulation.engines, frozen, strict=True)
+        ]
+        events = np.concatenate([*found, np.array(seen.events, EVENT_DTYPE)])
         kinds = np.bincount(events["kind"], minlength=len(EVENT_NAMES))
-        for kind, found in enumerate(simulation.ranks.sum(kinds)):
-            simulation.counts[EVENT_NAMES[kind]] += int(found)
-        measures = _measures(chunk, seen, slice(count), engine.character)
+        for kind, number in enumerate(simulation.ranks.sum(kinds)):
+            simulation.counts[EVENT_NAMES[kind]] += int(number)
+        measures = _measures(chunks, seen, slice(count), simulation.character)
         simulation.measure_sums += measures.sum(axis=0, dtype=np.float64)
         writer.end_chunk(events)
         simulation.clock.lap("record")
@@ -388,31 +428,48 @@ def _run(simulation: Simulation, writer: RecordingWriter, progress: Progress | N
     simulation.clock.seconds["write"] = writer.seconds
 
 
-def _frames(chunk: ChunkArrays, seen: SceneFrames, part: slice, character: Character) -> dict[str, np.ndarray]:
-    """Some frames of a chunk under the names that the recording has for them."""
-    arrays = {
-        "link_poses": chunk.poses,
-        "origins": chunk.origins,
-        "velocities": chunk.velocities,
-        "phases": chunk.phases,
-    }
-    frames = {name: array[part].numpy() for name, array in arrays.items()}
-    for name, array in (("contacts", chunk.contacts), ("fallen", chunk.fallen), ("frozen", chunk.frozen)):
-        frames[name] = array[part].numpy().view(np.bool_)
-    frames["desired_velocities"] = chunk.desired[part].numpy()[:, :, :2]
-    frames["measures"] = _measures(chunk, seen, part, character)
+def _recorded_casts(simulation: Simulation) -> list[Cast]:
+    """The casts as the recording has them, each individual in a colour of its own."""
+    tones = colors(simulation.scenario.crowd.count)
+    return [
+        Cast(cast.name, cast.character.body, cast.first, cast.count, tones[cast.first : cast.agents.stop])
+        for cast in simulation.casts
+    ]
+
+
+def _frames(
+    chunks: Sequence[ChunkArrays], seen: SceneFrames, part: slice, character: Character
+) -> dict[str, np.ndarray]:
+    """Some frames of a chunk, of all engines, under the names that the recording has for them."""
+    names = {name: name for name in ("origins", "velocities", "phases")} | {"link_poses": "poses"}
+    frames = {name: _rows(chunks, of, part) for name, of in names.items()}
+    for name in ("contacts", "fallen", "frozen"):
+        frames[name] = _rows(chunks, name, part).view(np.bool_)
+    frames["desired_velocities"] = _velocities(_rows(chunks, "desired", part))
+    frames["measures"] = _measures(chunks, seen, part, character)
     return frames | {"in_corral": seen.in_corral[part], "actor_poses": seen.actor_poses[part]}
 
 
-def _measures(chunk: ChunkArrays, seen: SceneFrames, part: slice, character: Character) -> np.ndarray:
+def _rows(chunks: Sequence[ChunkArrays], name: str, part: slice) -> np.ndarray:
+    """An array of some frames of a chunk, with the agents of all engines, shape [frames, agents, ...]."""
+    rows = [getattr(chunk, name)[part].numpy() for chunk in chunks]
+    return rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)
+
+
+def _velocities(desired: np.ndarray) -> np.ndarray:
+    """The first two of the commands, shape [frames, agents, 2]; zero for characters that take none."""
+    found = desired[:, :, :2]
+    missing = 2 - found.shape[2]
+    return np.pad(found, ((0, 0), (0, 0), (0, missing))) if missing else found
+
+
+def _measures(chunks: Sequence[ChunkArrays], seen: SceneFrames, part: slice, character: Character) -> np.ndarray:
     """What is measured in some frames of a chunk, shape [frames, agents, measures]."""
-    own = chunk.measures[part].numpy()[:, :, : len(character.records)]
+    own = _rows(chunks, "measures", part)[:, :, : len(character.records)]
     return np.concatenate([own, seen.measures[part]], axis=2)
 
 
-def _events(
-    chunk: ChunkArrays, seen: SceneFrames, engine: Engine, first: int, count: int, frozen_before: np.ndarray
-) -> np.ndarray:
+def _events(chunk: ChunkArrays, engine: Engine, first: int, count: int, frozen_before: np.ndarray) -> np.ndarray:
     """What happened in a chunk to an engine's agents, as the recording's table."""
     character = engine.character
     substeps = chunk.events.numpy()[:count, :, : len(character.events)]
@@ -431,7 +488,7 @@ def _events(
     lost["frame"], lost["agent"], lost["kind"] = frame + first, agent, EVENT_NAMES.index("nonfinite")
     found = np.concatenate([own, met, lost])
     found["agent"] += engine.first_agent
-    return np.concatenate([found, np.array(seen.events, EVENT_DTYPE)])
+    return found
 
 
 def _where(chosen: np.ndarray) -> tuple[np.ndarray, ...]:

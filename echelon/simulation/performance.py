@@ -27,6 +27,7 @@ class Performance:
         which: Which of them each gymnast follows, shape [agents]; None for one gymnast a script.
         people: How they start; None for standing.
         terrain: Where; None for level ground at z = 0.
+        places: World places of their floating origins [m], shape [agents, 3]; None for the origin.
         frame_rate, substeps, tick: Frames a second, substeps a frame, and substeps a control tick; as many substeps as
             the character needs if 0.
         threads: At most, 0 for one a core.
@@ -44,6 +45,7 @@ class Performance:
         *,
         people: Population | None = None,
         terrain: Terrain | None = None,
+        places: np.ndarray | None = None,
         frame_rate: int = 30,
         substeps: int = 0,
         tick: int = 0,
@@ -53,6 +55,7 @@ class Performance:
         self.character = character
         self.frame_rate = frame_rate
         self.frames = 0
+        self._shape: tuple[int, ...] = ()
         self.engine = Engine(
             character,
             len(following),
@@ -69,8 +72,30 @@ class Performance:
             self.engine.set_parameter(name, values)
         for name, values in people.memory.items():
             self.engine.set_memory(name, values)
-        self.engine.set_scripts(padded(tables), following)
-        self.engine.bind(ChunkArrays.allocate(1, len(following), character))
+        if places is not None:
+            self.engine.set_origins(places)
+        self._start = self.engine.full_state()
+        self._chunk = ChunkArrays.allocate(1, len(following), character)
+        self._follow(padded(tables), following)
+
+    def restart(self, tables: Sequence[np.ndarray], which: np.ndarray | None = None) -> None:
+        """Everybody back to their start, to follow other scripts: a new performance at a fraction of the cost.
+
+        Args:
+            tables, which: As many gymnasts as before, otherwise as for a new one.
+        """
+        following = np.arange(len(tables)) if which is None else np.asarray(which)
+        if len(following) != self.engine.agent_count:
+            raise ValueError(f"{len(following)} scripts to follow for {self.engine.agent_count} gymnasts")
+        self.frames = 0
+        self.engine.load_full_state(self._start)
+        self._follow(padded(tables), following)
+
+    def _follow(self, scripts: np.ndarray, following: np.ndarray) -> None:
+        self.engine.set_scripts(scripts, following)
+        if scripts.shape != self._shape:
+            self.engine.bind(self._chunk)
+            self._shape = scripts.shape
 
     def run(
         self, seconds: float, watch: Sequence[str] = (), progress: Progress | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -103,6 +103,9 @@ class Road:
         places = grid.positions[:count].copy()
         places[:, 2] = self.course.surfaces.height(places[:, :2])
         return people, places
+
+    def prepare(self, engines: Sequence[Engine]) -> None:
+        """Everything that they go by comes frame by frame."""
 
     def public(self) -> dict[str, wp.array]:
         riders = self.peloton.riders

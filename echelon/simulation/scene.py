@@ -1,11 +1,11 @@
 """Where a scenario plays and what everybody in it wants: what the frame loop needs of it.
 
-There are two kinds: a `field` with a herd on it, and a `road` with riders.
+There are three kinds: a `field` with a herd on it, a `road` with riders, and a `gym` with gymnasts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -74,6 +74,10 @@ class Scene(Protocol):
 
     def people(self, character: Character) -> tuple[Population, np.ndarray]:
         """Everybody as they start, and the world places of their floating origins [m], shape [agents, 3]."""
+        ...
+
+    def prepare(self, engines: Sequence[Engine]) -> None:
+        """Give the engines, once everybody is where they start, what does not change while they run."""
         ...
 
     def public(self) -> dict[str, wp.array]:

@@ -108,6 +108,8 @@ def world_dict(world: WorldSettings) -> dict[str, Any]:
     """The set pieces as plain data, as recordings carry them: ground, walls, corral and columns if there are any."""
     if world.ground == "oval":
         ground = {"shape": "oval", "half_length": world.half_length, "half_width": world.half_width}
+    elif world.ground == "mat":
+        ground = {"shape": "mat", "half_length": world.half_length, "half_width": world.half_width}
     else:
         ground = {"shape": "plane", "half_size": world.half_length}
     data: dict[str, Any] = {

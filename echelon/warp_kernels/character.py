@@ -115,7 +115,9 @@ class Population:
 class Character(Protocol):
     """A body with a controller.
 
-    A character that others can touch also has `capsules`, `Capsule`s in the axes of its first link (see `meeting`).
+    A character that others can touch also has `capsules`, `Capsule`s in the axes of its first link (see `meeting`). One
+    that remembers heights also has `heights`, the names of those memory variables: they are counted from the floating
+    origin, and move with it.
 
     Attributes:
         name: As scenarios call it.

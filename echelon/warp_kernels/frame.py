@@ -288,7 +288,9 @@ class Engine:
         self.command.assign(host)
 
     def set_scripts(self, scripts: np.ndarray, which: np.ndarray) -> None:
-        """What characters with scripts do, before a chunk is bound; everybody begins at the first row of theirs.
+        """What characters with scripts do; everybody begins at the first row of theirs.
+
+        Tables of another shape than before need a chunk to be bound anew.
 
         Args:
             scripts: Tables of equally many rows, shape [scripts, rows, row size] (see `scripts.ScriptLayout`).
@@ -297,7 +299,12 @@ class Engine:
         count, rows, size = scripts.shape
         if count * rows > LARGEST_ROW:
             raise ValueError(f"{count} scripts of {rows} rows: at most {LARGEST_ROW} rows can be told apart")
-        self._scripts = wp.array(scripts.reshape(count * rows, size), dtype=wp.float32, device=self.device)
+        table = scripts.reshape(count * rows, size)
+        if self._scripts.shape == table.shape:
+            # In place, where launches that were captured look for it.
+            self._scripts.assign(table.astype(np.float32))
+        else:
+            self._scripts = wp.array(table, dtype=wp.float32, device=self.device)
         self.set_memory("first_row", np.asarray(which) * rows)
         self.set_memory("row", np.full(self.agent_count, NOT_BEGUN))
 

@@ -84,6 +84,9 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
     later_roots = [layout.q + body.q_start(i) for i in range(1, link_count) if body.links[i].joint.kind == "free"]
     later_root_count = len(later_roots)
     later_root_places = wp.types.vector(length=max(later_root_count, 1), dtype=wp.int32)(*(later_roots or [0]))
+    heights = [layout.memory[name] for name in getattr(program.character, "heights", ())]
+    height_count = len(heights)
+    height_places = wp.types.vector(length=max(height_count, 1), dtype=wp.int32)(*(heights or [0]))
     phase_at, fallen_at, loaded_at = (layout.memory[name] for name in ("phase", "fallen", "loaded"))
     frozen_at = layout.frozen
     root_q = layout.q
@@ -282,6 +285,10 @@ def frame_kernel(program: Program, look_up: Any, terrain_type: Any, rough: bool)
                         for root in range(later_root_count):
                             place = later_root_places[root] + axis
                             state[block, place, lane] = state[block, place, lane] - shift
+                        if axis == 2:
+                            for remembered in range(height_count):
+                                place = height_places[remembered]
+                                state[block, place, lane] = state[block, place, lane] - shift
             for part in range(command_count):
                 command_lanes[block, part, lane] = command[first_agent + wp.min(agent, agent_count - 1), part]
         begin(state, backup, block)

@@ -41,6 +41,9 @@ TRANSITION_SIZE = 1 + CLAUSES * CLAUSE_SIZE
 NOT_BEGUN = -1.0
 """Value of the memory variable `row` of an agent whose script has not begun."""
 
+CAPTURED = tuple(f"captured.{capture}" for capture in range(CAPTURES))
+"""Names of the memory variables that keep what captures asked about."""
+
 PATH_PARTS = ("start", "slope", "target", "duration", "age")
 """What is kept of a channel's path: value [rad] and rate [rad/s] at its start, target [rad], duration and age [s]."""
 
@@ -95,9 +98,10 @@ class ScriptLayout:
 
         `row` counts through all scripts of a crowd, `first_row` is where the agent's own begins; `row_age` is the time
         since arrival [s], which control must advance; `missed` has bit i set where capture i failed on the last
-        arrival, and `arrivals` counts rows.
+        arrival, `captured.i` is what it asked about then, and `arrivals` counts rows.
         """
         kept = {"row": NOT_BEGUN, "first_row": 0.0, "row_age": 0.0, "missed": 0.0, "arrivals": 0.0}
+        kept |= dict.fromkeys(CAPTURED, 0.0)
         for channel in self.channels:
             kept |= {f"path.{channel}.{part}": 1.0 if part in ("duration", "age") else 0.0 for part in PATH_PARTS}
             kept[f"wanted.{channel}"] = 0.0
@@ -113,11 +117,12 @@ def _vector(places: Sequence[int]) -> Any:
 @lru_cache(maxsize=16)
 def _arrive(places: tuple[tuple[int, ...], ...], sizes: tuple[int, ...]) -> Any:
     """The stage for places of variables in an agent's state (see `arrive_function`)."""
-    paths, wanted, rates, measured, settings, measures, resets, own = places
+    paths, wanted, rates, measured, settings, measures, resets, own, captured = places
     channel_count, setting_count, reset_count = sizes[:3]
     duration_place, setting_place, start_place, phase_place, transition_place, capture_place = sizes[3:]
     path_at, wanted_at, rate_at, measured_at = _vector(paths), _vector(wanted), _vector(rates), _vector(measured)
     setting_at, measure_at, reset_at = _vector(settings), _vector(measures), _vector(resets)
+    captured_at = _vector(captured)
     row_at, first_at, age_at, missed_at, arrivals_at, phase_at = own
     part_count = len(PATH_PARTS)
 
@@ -168,6 +173,11 @@ def _arrive(places: tuple[tuple[int, ...], ...], sizes: tuple[int, ...]) -> Any:
             if not holds(block, lane, following, capture_place + capture * CLAUSE_SIZE, state, scripts):
                 missed += bit
             bit *= 2.0
+            asked = int(scripts[following, capture_place + capture * CLAUSE_SIZE])
+            value = wp.float32(0.0)
+            if asked >= 0:
+                value = state[block, measure_at[asked], lane]
+            state[block, captured_at[capture], lane] = value
         state[block, missed_at, lane] = missed
         for setting in range(setting_count):
             state[block, setting_at[setting], lane] = scripts[following, setting_place + setting]
@@ -204,6 +214,7 @@ def arrive_function(layout: StateLayout, script: ScriptLayout) -> Any:
         tuple(memory[name] for name in script.measures),
         tuple(memory[name] for name in script.resets),
         tuple(memory[name] for name in ("row", "first_row", "row_age", "missed", "arrivals", "phase")),
+        tuple(memory[name] for name in CAPTURED),
     )
     sizes = (
         len(script.channels),

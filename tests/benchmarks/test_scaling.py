@@ -25,7 +25,17 @@ from echelon.flocking.start_grid import start_grid
 
 KEYS = {
     *("engine", "kind", "agents", "threads", "asked_threads", "scene", "frame_ms", "see_ms", "want_ms", "act_ms"),
-    *("record_ms", "write_ms", "agent_us", "substep_us", "real_time_factor", "speedup", "efficiency"),
+    *(
+        "record_ms",
+        "write_ms",
+        "unrecorded_ms",
+        "unrecorded_efficiency",
+        "agent_us",
+        "substep_us",
+        "real_time_factor",
+        "speedup",
+        "efficiency",
+    ),
     *("step_seconds", "substeps", "contacts", "precision", "integrator", "lanes", "frames", "peak_memory_mb"),
     *("falls", "collisions", "sane", "why", "machine", "versions"),
 }
@@ -40,7 +50,15 @@ def briefly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def a_row(agents: int = 1000, **changes: Any) -> dict[str, Any]:
     """A row as one would be."""
-    phases = {"see_ms": 0.4, "want_ms": 0.6, "act_ms": 3.0, "exchange_ms": 0.0, "record_ms": 1.0, "write_ms": 0.5}
+    phases = {
+        "see_ms": 0.4,
+        "want_ms": 0.6,
+        "act_ms": 3.0,
+        "exchange_ms": 0.0,
+        "record_ms": 1.0,
+        "write_ms": 0.5,
+        "unrecorded_ms": 4.2,
+    }
     return {
         "engine": "Echelon", "kind": "hoppers", "agents": agents, "threads": 1, "asked_threads": 1, "scene": "a herd",
         "integrator": "semi-implicit", "precision": "float32", "step_seconds": 1 / 720, "substeps": 24,
@@ -64,7 +82,11 @@ def test_rows_state_everything(briefly: None) -> None:
         assert row["substep_us"] == pytest.approx(row["agent_us"] / 24)
         assert row["step_seconds"] == pytest.approx(STRIDE.step)
         assert 100.0 < row["peak_memory_mb"] < 5000.0
-    assert (one["speedup"], one["efficiency"]) == (1.0, 1.0)
+        assert row["see_ms"] > 0.0
+        assert row["want_ms"] > 0.0
+        assert row["unrecorded_ms"] > 0.0
+    assert (one["speedup"], one["efficiency"], one["unrecorded_efficiency"]) == (1.0, 1.0, 1.0)
+    assert two["unrecorded_efficiency"] == pytest.approx(one["unrecorded_ms"] / two["unrecorded_ms"])
     assert two["efficiency"] == pytest.approx(one["frame_ms"] / two["frame_ms"])
 
 
@@ -193,6 +215,8 @@ def the_rows() -> list[dict[str, Any]]:
         for agents in found
         for asked in (1, 0)
     ]
+    rows[4] |= {name: 0.0821 for name in rows[4] if name.endswith("_ms")} | {"agent_us": 0.0821, "want_ms": 0.0098}
+    rows[4] |= {"real_time_factor": 0.0123, "peak_memory_mb": 896.0}
     rows[0] |= {"frame_ms": None, "agent_us": None, "substep_us": None, "sane": False, "why": "9 of 16 agents fell"}
     other = {
         "engine": "Newton (Featherstone)", "kind": "hoppers", "agents": 1000, "threads": 1, "scene": "standing",

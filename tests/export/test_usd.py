@@ -319,7 +319,7 @@ def test_unwritable_file_is_one_line(recording: Recording, tmp_path: Path, monke
 
 
 def test_bad_input_is_one_line(recording: Recording, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'sprite' is not one of rig, skel, points"):
+    with pytest.raises(InputError, match="'sprite' is not one of auto, rig, skel, points"):
         write_stage(recording, tmp_path / "herd.usd", cast("Any", "sprite"))
     poses = np.array(recording.link_poses)
     poses[3, 2, 1, 0] = np.nan
@@ -356,6 +356,12 @@ def test_two_casts_side_by_side(tmp_path: Path) -> None:
 
 def test_many_agents_are_points() -> None:
     assert [suggested_representation(count) for count in (16, 150, 151, 5000)] == ["rig", "rig", "points", "points"]
+
+
+def test_a_small_crowd_is_rigs_unless_told_otherwise(recording: Recording, tmp_path: Path) -> None:
+    stage = Usd.Stage.Open(str(write_stage(recording, tmp_path / "herd.usd")))
+    crowd = stage.GetPrimAtPath("/border_collie/Crowd")
+    assert crowd.GetVariantSets().GetVariantSelection("representation") == "rig"
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import random
 import resource
 import signal
 import subprocess
@@ -150,6 +151,7 @@ def one_line(said: str, path: Path, reason: str) -> None:
     assert said.count("\n") == 1, said
     assert str(path) in said
     assert reason in said
+    assert "frames are safe (at most a chunk" in said
     assert "can be resumed" in said
 
 
@@ -157,6 +159,54 @@ def test_killed_it_loses_no_chunk_that_was_recorded(whole: Path, tmp_path: Path)
     path = tmp_path / "run"
     assert cut_short(path, lambda process: process.kill()) == ""
     goes_on(path, whole)
+
+
+TELLING = """
+import os, sys
+from echelon.recording import layout
+layout._CHUNK_SECONDS = 1
+from echelon.scenario import Scenario
+from echelon.simulation import resume, simulate
+def say(done, total):
+    os.write(1, done.to_bytes(4, "little"))
+if os.path.exists(sys.argv[1]):
+    resume(sys.argv[1], progress=say)
+else:
+    plan = Scenario.load("herd", ["crowd.count=4", "seconds=20"])
+    simulate(plan, recording=sys.argv[1], progress=say)
+"""
+"""A run, or the rest of one, in chunks of a second; it says of each frame that it has been simulated."""
+
+KILLS = 6
+
+
+def test_killed_at_any_moment_it_loses_one_chunk_at_most(tmp_path: Path) -> None:
+    """Killed over and over, soon after it has come to some frame of a chunk or other, while files are written."""
+    path, moments = tmp_path / "run", random.Random(4)
+    losses = []
+    for kill in range(KILLS):
+        target = recorded_frames(path) + 7 * (kill + 1)
+        process = subprocess.Popen([sys.executable, "-c", TELLING, str(path)], stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        said = 0
+        while said < target and (word := process.stdout.read(4)):
+            said = int.from_bytes(word, "little")
+        time.sleep(moments.uniform(0.0, 0.01))
+        process.kill()
+        rest = process.stdout.read()
+        process.wait()
+        said = int.from_bytes(rest[-4:], "little") if rest else said
+        left = Recording(path)
+        if left.status == "done":
+            break
+        losses.append(said - left.frame_count)
+        assert losses[-1] <= left.chunk_frames
+    assert len(losses) > 3
+    assert max(losses) > 0, "never killed in the middle of a chunk"
+    if Recording(path).status == "running":
+        subprocess.run([sys.executable, "-c", TELLING, str(path)], stdout=subprocess.DEVNULL, check=True)
+    subprocess.run([sys.executable, "-c", TELLING, str(tmp_path / "whole")], stdout=subprocess.DEVNULL, check=True)
+    assert same_files(path, tmp_path / "whole")
 
 
 def test_a_disk_that_takes_no_more(whole: Path, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 import warp as wp
 
 from echelon.warp_kernels.atomics import atomic_exchange, atomic_increase
-from echelon.warp_kernels.replay import Graphs, Share, Team, side_by_side, slices
+from echelon.warp_kernels.replay import LAST_SLICES, Graphs, Replay, Share, Team, dealt, side_by_side, slices
 
 
 @wp.kernel
@@ -42,6 +42,22 @@ def test_slices_cover_a_range_once_and_are_whole_multiples() -> None:
                 assert all(length % multiple == 0 for _, length in found[:-1])
 
 
+def test_dealt_slices_cover_a_range_once_and_become_smaller() -> None:
+    for count in (1, 5, 255, 10_000):
+        assert dealt(count, 1, first=10) == [(10, count)]
+        for threads in (2, 3, 16):
+            found = dealt(count, threads, first=10)
+            assert [item for first, length in found for item in range(first, first + length)] == [
+                *range(10, 10 + count)
+            ]
+            sizes = [length for _, length in found]
+            assert sizes == sorted(sizes, reverse=True)
+            assert sizes[0] <= max(count / (2 * threads), 1)
+            assert sizes[-1] <= -(-count // (LAST_SLICES * threads))
+    assert min(length for _, length in dealt(1000, 2, least=100)[:-1]) == 100
+    assert dealt(0, 2) == [(0, 0)]
+
+
 def test_shares_of_parts_cover_the_crowd_once_and_each_has_what_is_beyond() -> None:
     for parts in (1, 2, 3):
         owned: list[int] = []
@@ -62,6 +78,28 @@ def test_work_of_a_team_is_done_side_by_side() -> None:
     for _ in range(3):
         team.run([meeting.wait] * 3)  # type: ignore[list-item]
     team.close()
+    team.close()
+
+
+def test_who_is_done_takes_what_others_have_not_begun() -> None:
+    team, rest = Team(2), threading.Semaphore(0)
+
+    def slow() -> None:
+        for _ in range(5):
+            assert rest.acquire(timeout=10.0)  # until the other thread has done all the rest
+
+    for _ in range(3):
+        team.run([slow, *[lambda: rest.release()] * 5])
+        team.run([lambda: rest.release(), slow, *[lambda: rest.release()] * 4])
+    team.close()
+
+
+def test_work_that_is_done_before_anybody_wakes_up_is_done_once() -> None:
+    team, done = Team(3), []
+    for turn in range(3000):
+        team.run([partial(done.append, (turn, piece)) for piece in range(4)])
+        assert len(done) == 4 * (turn + 1)
+    assert sorted(done) == [(turn, piece) for turn in range(3000) for piece in range(4)]
     team.close()
 
 
@@ -99,6 +137,22 @@ def test_replayed_slices_do_what_they_did_when_captured(threads: int) -> None:
     assert np.all(numbers.numpy()[first:] == 10)
     assert total.numpy()[0] == 10 * count + 5 * first
     team.close()
+
+
+def test_between_stages_is_called_in_each_frame() -> None:
+    number = wp.zeros(1, dtype=wp.int32, device="cpu")
+    total = wp.zeros(1, dtype=wp.int32, device="cpu")
+    wp.load_module(count_up.module, device="cpu")
+    count = partial(wp.launch, count_up, 1, inputs=[0, number, total], device="cpu")
+    replay, team, found = Replay((), "cpu"), Team(1), []
+    stages = [[[count]], [[count], [count]]]
+    replay((number,), lambda: stages, team, lambda: found.append(int(number.numpy()[0])))
+    before = int(number.numpy()[0])
+    replay((number,), lambda: stages, team, lambda: found.append(int(number.numpy()[0])))
+    assert found[1:] == [before + 1]
+    assert number.numpy()[0] == before + 3
+    replay((number,), lambda: stages, team)
+    assert len(found) == 2
 
 
 def test_lists_that_threads_make_together_hold_everybody() -> None:

@@ -26,6 +26,7 @@ from echelon.warp_kernels.model import Vec3
 
 TURF: Vec3 = (0.10, 0.19, 0.05)  # linear RGB
 MEADOW: Vec3 = (0.16, 0.20, 0.08)
+MAT: Vec3 = (0.055, 0.16, 0.34)
 TIMBER: Vec3 = (0.28, 0.17, 0.09)
 STONE: Vec3 = (0.42, 0.40, 0.37)
 MEADOW_DEPTH = 0.02  # [m] below the turf, so that the two never share a plane
@@ -144,7 +145,11 @@ def define_world(
         return
     ground = _define_component(stage, paths.world.AppendChild("Ground"), earthy)
     turf = ground_mesh(world["ground"])
-    define_mesh(stage, str(ground.GetPath().AppendChild("turf")), welded([turf]), TURF)
+    if "heading" in world:
+        stage.GetPrimAtPath(paths.world).SetCustomDataByKey("heading", float(world["heading"]))
+    on_mat = world["ground"].get("shape") == "mat"
+    name, color = ("mat", MAT) if on_mat else ("turf", TURF)
+    define_mesh(stage, str(ground.GetPath().AppendChild(name)), welded([turf]), color)
     reach = turf.extent[1] + MEADOW_REACH
     meadow = define_mesh(
         stage,
