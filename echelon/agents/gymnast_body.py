@@ -95,7 +95,7 @@ FALL_SITES: tuple[str, ...] = (
     "pelvis",
     "chest",
     "head",
-    *(f"{side}_{place}" for side in SIDES for place in ("knee", "shoulder", "elbow")),
+    *(f"{side}_{place}" for side in SIDES for place in ("knee", "ankle", "shoulder", "elbow")),
 )
 """Names of the sites, in the order of the body's contacts: left and right foot, toes, hands, then what falls."""
 
@@ -439,6 +439,11 @@ def _falling(named: dict[str, Link], weight: float) -> list[ContactSite]:
             link = named[f"{side}_{'lower_leg' if place == 'knee' else 'lower_arm'}"]
             radius = 1.1 * _limb_radius(link)
             center, radii = np.zeros(3), (radius, radius, radius)
+        elif place == "ankle":
+            # At the shank's end, so that a foot that lies on its back does not sink in; clear of a standing sole.
+            link, foot = named[f"{side}_lower_leg"], named[f"{side}_foot"]
+            radius = 0.6 * _limb_radius(link)
+            center, radii = np.array(foot.joint.position), (radius, radius, radius)
         else:
             link = named[
                 {"pelvis": "pelvis", "chest": "upper_chest", "head": "head", "shoulder": f"{side}_shoulder_girdle"}[

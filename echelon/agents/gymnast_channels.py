@@ -104,7 +104,8 @@ def shoulder_orientation(side: str, raised: Any, spread: Any, turn: Any) -> list
     # The reference pose has the arm out to the side, which is a spread of pi/2.
     sy, cy = sincos(-0.5 * raised)
     sx, cx = sincos(0.5 * outwards * (spread - 0.5 * math.pi))
-    st, ct = sincos(0.5 * outwards * turn)
+    # The arm lies along y, about which both sides turn alike.
+    st, ct = sincos(0.5 * turn)
     # Ry(raised) Rx(spread) Ry(turn).
     x, y, z, w = cy * sx, sy * cx, -(sy * sx), cy * cx
     return [x * ct - z * st, y * ct + w * st, z * ct + x * st, w * ct - y * st]

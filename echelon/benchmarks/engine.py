@@ -5,6 +5,9 @@
 * The **cyclist**'s whole substep (control, two wheels on a road that is looked up in its quadtree, the springs at
   hands and feet, the chain, dynamics, integration) while it rides, against a MuJoCo step of its body that rolls on a
   plane, with constraints at hands and feet and for the chain, and springs for servos, but without control.
+* The **gymnast**'s whole substep (script, balance, a servo at every joint, 12 points of the soles loaded and 19 more
+  that meet the ground in a fall, dynamics of 53 degrees of freedom, integration) while it stands, against a MuJoCo step
+  of its body that stands on 12 spheres on a plane, with springs of the servos' gains at its joints, without control.
 * **male**, **female** and other bodies: servos and dynamics in free flight, against MuJoCo with springs and dampers
   at the joints, contact off.
 
@@ -23,10 +26,12 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from echelon.agents.cyclist import Cyclist
+from echelon.agents.gymnast import Gymnast
 from echelon.agents.servo import ServoedBody
 from echelon.benchmarks.compile_time import compile_time
 from echelon.benchmarks.engine_report import LARGEST_STEP, SAME_STEP, print_table
-from echelon.benchmarks.engine_runs import CYCLIST, HOPPER, character_of, start_run, stride_of
+from echelon.benchmarks.engine_runs import CYCLIST, GYMNAST, HOPPER, character_of, start_run, stride_of
+from echelon.benchmarks.gymnast_run import STANDING_STRIDE
 from echelon.benchmarks.machine import machine_name, package_versions
 from echelon.benchmarks.riding_run import RIDING_STRIDE
 from echelon.benchmarks.sanity import Verdict
@@ -42,7 +47,7 @@ __all__ = ["engine_row", "print_table", "run_engine_benchmark"]
 
 Progress = Callable[[int, int], None]
 
-BODIES = (HOPPER, CYCLIST, "male", "female")
+BODIES = (HOPPER, CYCLIST, GYMNAST, "male", "female")
 AGENTS = 512
 ROUNDS = 20  # of a second each
 QUICK_AGENTS = 64
@@ -55,6 +60,7 @@ LADDER = (STRIDE, Stride(16, 4), Stride(8, 2))
 """From small steps to large, all with the control ticks of scenarios: 120 a second, riders' 90."""
 RIDING_LADDER = (RIDING_STRIDE, Stride(27, 9), Stride(24, 8), Stride(21, 7), Stride(18, 6))
 FLIGHT_LADDER = (STRIDE, Stride(16, 2), Stride(10, 1), Stride(8, 1), Stride(4, 1))
+STANDING_LADDER = (STANDING_STRIDE, Stride(30, 3), Stride(24, 3))
 RUNGE_KUTTA_STRIDE = Stride(40, 5)  # a step at which MuJoCo's is stable too
 PEER_LADDER = (1 / 720, 1 / 480, 1 / 300, 1 / 240, 1 / 180, 1 / 120)
 """Of MuJoCo where there is control: a step longer than a tick would let it act less often [s]."""
@@ -259,6 +265,8 @@ def ladders_of(character: Character) -> tuple[Sequence[Stride], Sequence[float]]
     """Our steps for a character, from small to large, and MuJoCo's [s]."""
     if isinstance(character, ServoedBody):
         return FLIGHT_LADDER, PEER_FLIGHT_LADDER
+    if isinstance(character, Gymnast):
+        return STANDING_LADDER, PEER_LADDER
     return RIDING_LADDER if isinstance(character, Cyclist) else LADDER, PEER_LADDER
 
 
@@ -286,4 +294,6 @@ def _actions(name: str) -> str:
         return "hopping at 0, 1 and 2 m/s in all directions"
     if name == CYCLIST:
         return "riding at 6 m/s on a rolling road; MuJoCo: rolling unsteered from 6 m/s for 0.5 s, again and again"
+    if name == GYMNAST:
+        return "standing, held by balance; MuJoCo: set down on its feet for 0.25 s, again and again"
     return "servos holding a pose in free flight"

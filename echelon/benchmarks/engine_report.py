@@ -209,6 +209,11 @@ on one core. The two take turns second by second, and what stands here are media
   and dampers of the same gains at the pose of the start, at hips and knees, which pedals carry round, dampers alone. It
   is without control, air, and what touches the ground in a fall; so it is set rolling at 6 m/s, its cranks at one angle
   and another, and anew after 0.5 s, before it tips over.
+* **gymnast**: our whole substep (the script that it follows, balance, a servo at every joint, twelve points of the
+  soles that bear it and nineteen more that meet the ground in a fall, dynamics, integration) while people stand and
+  hold their balance. MuJoCo's step is of the same body, 53 degrees of freedom, on twelve small spheres on a plane, with
+  springs and dampers of the servos' gains at the pose of the start. It is without control and without what touches the
+  ground in a fall; its ankles' springs hold it up, and it is set down anew after 0.25 s.
 * **male**, **female**: servos and dynamics in free flight, 53 degrees of freedom. MuJoCo has a spring and damper of the
   same gains at every joint; its constraints are switched off.
 
@@ -227,10 +232,11 @@ up to which it stayed sane, and "s per s" is how many seconds of one agent's lif
 drifts by at most 2 % a second and the energy about the centre of mass does not rise by more than 1 %. Our hoppers must
 all stand and hold their mean velocity within 0.15 m/s, over 20 s (10 s on the ladder). MuJoCo's hopper, which has no
 control, must not fall and its energy must not rise, set down and dropped from a hop's height; its step is no longer
-than the 1/120 s in which control must be able to act. Of riders, ours and MuJoCo's, no hand or foot may be more than a
-centimetre from where it belongs, and nobody may lean by more than 5 degrees. Ours must not fall and must hold their
-speed within 0.3 m/s at every frame; MuJoCo's must stay on both wheels, slip by no more than 0.1 m/s, and its energy
-must not rise. A run that is not sane has no rate.
+than the 1/120 s in which control must be able to act. Our gymnasts must all stand, the centre of mass within 5 cm of
+the middle of the feet; MuJoCo's may move it by 3 cm and must bear on its feet. Of riders, ours and MuJoCo's, no hand or
+foot may be more than a centimetre from where it belongs, and nobody may lean by more than 5 degrees. Ours must not fall
+and must hold their speed within 0.3 m/s at every frame; MuJoCo's must stay on both wheels, slip by no more than 0.1
+m/s, and its energy must not rise. A run that is not sane has no rate.
 
 Compilation is timed from a character to a kernel that can be launched, with an empty kernel cache but after Warp's own
 start-up and precompiled header, and again in the next process, from the cache.

@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from echelon.agents.bodies import load_body
+from echelon.agents.characters import character_named
 from echelon.agents.cyclist import Cyclist
+from echelon.agents.gymnast import Gymnast
 from echelon.agents.hopper import Hopper
 from echelon.agents.servo import ServoedBody
+from echelon.benchmarks.gymnast_run import STANDING_STRIDE, GymnastRun
 from echelon.benchmarks.riding_run import RIDING_STRIDE, RidingRun, riding_ground
 from echelon.benchmarks.sanity import Verdict, fault_of_states, judge_flight, judge_hopping
 from echelon.benchmarks.timed_engine import (
@@ -34,11 +37,12 @@ SERVO_STIFFNESS, SERVO_DAMPING = 300.0, 20.0  # of every joint of a body in flig
 SAMPLE_FRAMES = 6  # between two looks at a body in flight
 JUDGED_AGENTS = 16  # whose momentum and energy in flight are looked at, the same leaps for both engines
 
-HOPPER, CYCLIST = "hopper", "cyclist"
+HOPPER, CYCLIST, GYMNAST = "hopper", "cyclist", "gymnast"
 
 
 def character_of(body_name: str) -> Character:
-    """Who represents a body in the race: a hopper that hops, a cyclist who rides, any other with a servo a joint.
+    """Who represents a body in the race: a hopper that hops, a cyclist who rides, a gymnast who stands, any other with
+    a servo a joint.
 
     Raises:
         InputError: If there is no such body, or its root is not free.
@@ -47,6 +51,8 @@ def character_of(body_name: str) -> Character:
         return Hopper()
     if body_name == CYCLIST:
         return Cyclist()
+    if body_name == GYMNAST:
+        return character_named("gymnast-male")
     body = load_body(body_name)
     if body.links[0].joint.kind != "free":
         raise InputError(f"body {body_name!r}: its root joint is {body.links[0].joint.kind}, must be free to fly")
@@ -55,6 +61,8 @@ def character_of(body_name: str) -> Character:
 
 def stride_of(character: Character) -> Stride:
     """How a frame is divided for a character in scenarios."""
+    if isinstance(character, Gymnast):
+        return STANDING_STRIDE
     return RIDING_STRIDE if isinstance(character, Cyclist) else STRIDE
 
 
@@ -69,6 +77,8 @@ def start_run(character: Character, agents: int, stride: Stride, integrator: Int
         return FlightRun(character, agents, stride, integrator)
     if isinstance(character, Cyclist):
         return RidingRun(character, agents, stride, integrator)
+    if isinstance(character, Gymnast):
+        return GymnastRun(character, agents, stride, integrator)
     return HoppingRun(character, agents, stride, integrator)
 
 

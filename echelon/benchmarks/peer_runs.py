@@ -14,8 +14,10 @@ import numpy as np
 
 from echelon.agents import hopper
 from echelon.agents.cyclist import Cyclist
+from echelon.agents.gymnast import Gymnast
 from echelon.agents.servo import ServoedBody
 from echelon.benchmarks.engine_runs import JUDGED_AGENTS, flight_states
+from echelon.benchmarks.gymnast_peer import GymnastPeer
 from echelon.benchmarks.mujoco_peer import CoordinateOrder, JointSpring, peer_model, without_log
 from echelon.benchmarks.rolling_peer import RollingPeer
 from echelon.benchmarks.sanity import Verdict, judge_flight, judge_standing
@@ -60,6 +62,8 @@ def start_peer(character: Character, step: float, integrator: str) -> PeerRun:
         return FlightPeer(character, step, integrator)
     if isinstance(character, Cyclist):
         return RollingPeer(character, step, integrator)
+    if isinstance(character, Gymnast):
+        return GymnastPeer(character, step, integrator)
     return StandingPeer(character.body, step, integrator)
 
 

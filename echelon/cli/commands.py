@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from echelon.cli.captures import EXAMPLES as CAPTURES_EXAMPLES
+from echelon.cli.captures import captures
 from echelon.cli.course import app as course_app
 from echelon.cli.groups import Seeds, bench_groups
 from echelon.cli.progress import Progress, Reporter, size
@@ -443,6 +445,9 @@ def plot(
 
     plot_run(Recording(recording), out)
     Reporter(quiet).say(f"wrote {out} ({size(out.stat().st_size)})")
+
+
+command(app, "captures", CAPTURES_EXAMPLES)(captures)
 
 
 # ---- bench, list, describe -----------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from echelon.cli.performers import performers_report, performers_text
 from echelon.cli.progress import Progress, Reporter, duration, size
 from echelon.errors import InputError
 
@@ -103,7 +104,7 @@ def run_and_report(
     if as_json:
         print(json.dumps(report))
     elif not reporter.quiet:
-        print(_report_text(report))
+        print(_report_text(report, recording))
     if unfilmed:
         raise Failure(unfilmed)
 
@@ -199,18 +200,23 @@ def _report(recording: Recording, clock: _LoopClock, cost: RunCost, made: dict[s
         "real_time_factor": round(simulated / max(clock.wall_seconds, 1e-9), 2),
         **cost.as_dict(),
     }
+    if "performers" in summary:
+        report |= performers_report(recording)
     return report | {name: None if path is None else str(path) for name, path in made.items()}
 
 
-def _report_text(report: dict[str, Any]) -> str:
+def _report_text(report: dict[str, Any], recording: Recording) -> str:
     took = f"{duration(report['wall_seconds'])}, {report['real_time_factor']:.3g} x real time"
     lines = [f"{report['scenario']}: {report['agents']} agents, {report['seconds']:g} s simulated in {took}"]
     hidden = ("scenario", "agents", "seconds", "wall_seconds", "startup_seconds", "real_time_factor", "riders", "user")
     hidden += ("phase_seconds",)
-    hidden += ("in_corral",) if "riders" in report else ()
+    hidden += ("maneuvers", "performers", "missed_captures")
+    hidden += ("in_corral",) if "riders" in report or "performers" in report else ()
     shown = {key: value for key, value in report.items() if key not in hidden and value is not None}
     width = max(len(key) for key in shown)
     lines += [f"  {key.replace('_', ' '):<{width}}  {_shown(value)}" for key, value in shown.items()]
+    if "performers" in report:
+        lines += performers_text(report, recording)
     return "\n".join(lines + (_standings(report) if "riders" in report else []))
 
 

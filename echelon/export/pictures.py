@@ -63,9 +63,9 @@ def render_film(
         start: Time of the first picture [s]; None for the beginning.
         seconds: How long [s]; None for the rest. What reaches beyond the end is left out.
         camera: In a field, "follow" keeps all bodies in the picture, and actors that are near, "side" follows low and
-            close from their right, "overview" shows all of it, "corral" the corral. On a road, "follow" rides behind the group, "helicopter" flies above it,
-            "roadside" stands beside the road and turns with it, and "overview" shows where all ride from one place.
-            Or a `View`.
+            close from their right, "overview" shows all of it, "corral" the corral. On a road, "follow" rides behind
+            the group, "helicopter" flies above it, "roadside" stands beside the road and turns with it, and "overview"
+            shows where all ride from one place. Or a `View`.
         progress: Called with (pictures done, pictures to do).
 
     Raises:

@@ -166,7 +166,8 @@ class WorldSettings:
 
     Attributes:
         ground: "oval" is a fenced infield of two straight sides and two half circles about the origin; "plane" is open;
-            "mat" is open too, and has a mat on it to be seen, half_length by half_width; "road" is a course with the land around it, and for riders.
+            "mat" is open too, with a mat in its middle that is only drawn; "road" is a course with the land around it,
+            and for riders.
         course: For a road, the name of a course that ships, or the path of a course (.toml) or a GPS track (.gpx).
         laps: How often a race goes round the course; 0 takes what the course says.
         half_length: Half the infield's length along x; of a plane, half the side of the square that is drawn [m].

@@ -34,7 +34,7 @@ class Role:
     """What one gymnast does.
 
     Attributes:
-        maneuver: Name, as the scenario has it.
+        maneuver: Its name.
         script: The maneuver.
         values: Of its parameters, where they differ from the usual.
         delay: How long it stands before [s].
@@ -81,7 +81,7 @@ class Roles:
             made: dict[tuple[Any, ...], np.ndarray] = {}
             for agent in cast.agents:
                 role = self.each[agent]
-                key = (role.maneuver, role.delay, *role.values.items())
+                key = (role.script.source, role.delay, *role.values.items())
                 if key not in made:
                     made[key] = self._table(cast, role)
                 table = made[key]
@@ -162,7 +162,7 @@ def roles_of(scenario: Scenario, casts: Sequence[CastPart]) -> Roles:
                 for key, value in varied[name][agent].items():
                     usual = script.parameters[key].value
                     values[key] = values.get(key, usual) + (value - usual)
-            roles.append(Role(name, script, values, round(float(delays[agent]), 6), waits))
+            roles.append(Role(script.name, script, values, round(float(delays[agent]), 6), waits))
     return Roles(tuple(casts), tuple(roles), scripts[performance.waiting])
 
 

@@ -18,6 +18,8 @@ from echelon.warp_kernels.integrate import position_rate, semi_implicit_position
 from echelon.warp_kernels.meeting import Bumper, Law
 from echelon.warp_kernels.meeting_code import meet
 from echelon.warp_kernels.program import Integrator, SubstepResult, evaluate_substep
+from echelon.warp_kernels.script_reference import arrive_reference
+from echelon.warp_kernels.scripts import ScriptLayout
 from echelon.warp_kernels.spatial import quaternion_normalized
 from echelon.warp_kernels.trace import Probe, record_probes
 
@@ -72,6 +74,9 @@ class ReferenceRun:
             not given.
         command: Commands by name, one number or one an agent; zero where not given.
         parameters: Parameters by name, likewise; the character's usual ones where not given.
+        memory: Where the controllers' memory differs from the usual, by name, likewise.
+        scripts: Rows of the scripts of a character that follows any, shape [rows, row size]; `first_row` in memory says
+            where an agent's begins.
 
     Attributes:
         state: As it is now.
@@ -91,8 +96,11 @@ class ReferenceRun:
         planes: Sequence[Sequence[float]] | None = None,
         command: Mapping[str, float | np.ndarray] | None = None,
         parameters: Mapping[str, float | np.ndarray] | None = None,
+        memory: Mapping[str, float | np.ndarray] | None = None,
+        scripts: np.ndarray | None = None,
     ) -> None:
         self.character = character
+        self.scripts = scripts
         self.step = step
         self.tick = tick
         self.integrator = integrator
@@ -108,7 +116,7 @@ class ReferenceRun:
             q=_columns(q),
             u=_columns(u),
             strains=[[self._column(0.0) for _ in range(strain_count(site))] for site in body.contacts],
-            memory={name: self._column(value) for name, value in character.memory.items()},
+            memory={name: self._column((memory or {}).get(name, usual)) for name, usual in character.memory.items()},
             substep=self._column(0.0),
         )
         self.wrench: Sequence[np.ndarray] | None = None
@@ -193,6 +201,9 @@ class ReferenceRun:
         self.state = AgentState(q, self.state.u, self.state.strains, self.state.memory, self._column(0.0))
         for count in range(substeps):
             if count % self.tick == 0:
+                if self.scripts is not None:
+                    layout: ScriptLayout = self.character.script  # type: ignore[attr-defined]
+                    arrive_reference(layout, self.state.memory, self.scripts)
                 self.control()
             self.substep()
 

@@ -152,7 +152,7 @@ def _offsets(
     for row in published_rows(experiment):
         if any((row.body if key == "body" else row.given[key]) != value for key, value in which.items()):
             continue
-        direction = DIRECTIONS.index(float(row.given["direction [deg]"]))
+        direction = DIRECTIONS.index(row.number("direction [deg]"))
         count = int(np.argmin(np.append(stood[direction], False)))
         if row.quantity == "largest offset asked for":
             found.append(Measured(row, float(sizes[count - 1]) if count else 0.0))
@@ -175,7 +175,7 @@ def pushes(settings: FidelitySettings) -> list[Measured]:
         stood = standing(run).reshape(len(DIRECTIONS), -1)
         for row in published_rows("balance-push"):
             if row.body == body:
-                count = int(np.argmin(np.append(stood[DIRECTIONS.index(float(row.given["direction [deg]"]))], False)))
+                count = int(np.argmin(np.append(stood[DIRECTIONS.index(row.number("direction [deg]"))], False)))
                 found.append(Measured(row, float(forces[count - 1]) if count else 0.0))
     return found
 
@@ -187,7 +187,7 @@ def slopes(settings: FidelitySettings) -> list[Measured]:
     angles = np.arange(10.0, STEEPEST + 1e-9, SLOPE_STEP)
     found: list[Measured] = []
     for row in published_rows("balance-slope"):
-        direction = float(row.given["direction [deg]"])
+        direction = row.number("direction [deg]")
         # The ground rises where the direction points: ahead, behind, to the left or to the right.
         rises = np.radians(angles)
         along = direction in (0.0, 180.0)

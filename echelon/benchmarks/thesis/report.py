@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from echelon.benchmarks.engine_report import write_csv
+from echelon.benchmarks.thesis.plots import write_pages
 from echelon.benchmarks.thesis.published import EXPERIMENTS
 from echelon.benchmarks.thesis.rows import FidelityRow, Range
 
@@ -47,13 +48,13 @@ def verdict(rows: Sequence[FidelityRow]) -> str:
 
 
 def write_files(rows: Sequence[FidelityRow], folder: Path) -> list[Path]:
-    """Write ``thesis.csv`` into a folder, which is made if it is not there; returns its path.
+    """Write ``thesis.csv`` and a picture of each chapter into a folder, which is made if it is not there.
 
-    A range stands as "5 to 7", where there is no value nothing.
+    A range stands as "5 to 7", where there is no value nothing. Returns what was written.
     """
     path = folder / "thesis.csv"
     write_csv([row.plain() | {"human": _shown(row.human)} for row in rows], path)
-    return [path]
+    return [path, *write_pages(rows, folder)]
 
 
 def _cells(row: FidelityRow) -> tuple[str, ...]:

@@ -1,0 +1,174 @@
+"""Chapter 8, the standing somersaults: do they end balanced, and what does a backpack change?
+
+Every trial is a gymnast of its own; the usual one and all disturbed ones are one batch. When a gymnast arrives in a row
+of its script is known to the tick, from how long it has been there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from echelon.agents.characters import character_named
+from echelon.agents.gymnast import Gymnast, gymnast
+from echelon.agents.script import Script, load_script
+from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
+from echelon.benchmarks.thesis.published import published_rows
+from echelon.benchmarks.thesis.rows import Measured, Published
+from echelon.simulation.performance import Performance
+
+SECONDS = 6.0  # from standing to long after the landing [s]
+FRAME_RATE = 30
+STANDS_AFTER = 3.0  # from touchdown, one is balanced then or not [s]
+STILL = 0.05  # who stands has a centre of mass slower than this [m/s]
+WHOLE_TURN = 0.2  # by which a somersault may differ from one turn [rad]
+DISTURBED, SEED = 128, 5
+"""How many trials with other hip angles at liftoff and timings, and what they are drawn from."""
+WATCHED = (
+    "row", "row_age", "time", "fallen", "hands_unloaded", "somersault", "pitch_rate", "momentum_y", "vx", "vy", "vz",
+    "com_height", "foot_clearance",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Somersaults:
+    """What became of somersaults, an entry for each.
+
+    Attributes:
+        balanced: Whether each came round once, on its feet alone, and stood still.
+        liftoff, opening, touchdown, standing: When each left the ground, opened the tuck, landed, and began to stand
+            up [s]; NaN where it did not.
+        highest: Greatest height of the centre of mass over the ground [m].
+        peak_rate: Greatest rate of the pelvis's somersault in flight [rad/s].
+        momentum: Angular momentum in flight, in its middle [kg m^2/s].
+        peak_force: Greatest force of the ground [N].
+    """
+
+    balanced: np.ndarray
+    liftoff: np.ndarray
+    opening: np.ndarray
+    touchdown: np.ndarray
+    standing: np.ndarray
+    highest: np.ndarray
+    peak_rate: np.ndarray
+    momentum: np.ndarray
+    peak_force: np.ndarray
+
+
+def perform(
+    character: Gymnast, script: Script, values: Sequence[Mapping[str, float]], settings: FidelitySettings
+) -> Somersaults:
+    """Somersaults by one body, with parameters of their own each.
+
+    Args:
+        character: Who.
+        script: With rows called tuck, open, absorb and rise.
+        values: Parameters that differ from the script's, for each.
+        settings: How to run them.
+    """
+    steps = settings.steps_per_second or character.steps_per_second
+    performance = Performance(
+        character,
+        [script.table(character.body, one) for one in values],
+        frame_rate=FRAME_RATE,
+        substeps=round(steps / FRAME_RATE),
+        tick=character.steps_per_tick * max(round(steps / character.steps_per_second), 1),
+        threads=settings.threads or 0,
+    )
+    seen = performance.run(SECONDS, WATCHED)
+    highest, hardest = performance.now("highest"), performance.now("hardest")
+    performance.close()
+    liftoff, opening, touchdown, standing = (
+        arrivals(script, seen, row) for row in ("tuck", "open", "absorb", "rise")
+    )
+    flight = (seen["time"] > liftoff) & ~(seen["time"] > touchdown)
+    middle = np.argmax(seen["time"] > 0.5 * (liftoff + touchdown), axis=0)
+    return Somersaults(
+        balanced=ends_balanced(seen, touchdown),
+        liftoff=liftoff,
+        opening=opening,
+        touchdown=touchdown,
+        standing=standing,
+        highest=highest,
+        peak_rate=np.max(np.abs(seen["pitch_rate"]) * flight, axis=0),
+        momentum=np.take_along_axis(seen["momentum_y"], middle[None], axis=0)[0],
+        peak_force=hardest,
+    )
+
+
+def arrivals(script: Script, seen: Mapping[str, np.ndarray], row: str) -> np.ndarray:
+    """When each gymnast first arrived in a row [s], shape [agents]; NaN where it never did."""
+    there = seen["row"] == script.row_names.index(row)
+    first = np.argmax(there, axis=0)[None]
+    when = np.take_along_axis(seen["time"] - seen["row_age"], first, axis=0)[0]
+    return np.where(there.any(axis=0), when, np.nan)
+
+
+def ends_balanced(seen: Mapping[str, np.ndarray], touchdown: np.ndarray) -> np.ndarray:
+    """Whether each stands still on its feet after one whole turn and has touched the ground with nothing else."""
+    late = seen["time"] >= touchdown + STANDS_AFTER
+    there = late.any(axis=0)
+    speed = np.sqrt(seen["vx"] ** 2 + seen["vy"] ** 2 + seen["vz"] ** 2)
+    still = np.all((speed < STILL) | ~late, axis=0)
+    turned = np.abs(np.abs(seen["somersault"][-1]) - 2.0 * math.pi) < WHOLE_TURN
+    on_feet = (seen["fallen"][-1] < 0.5) & (seen["hands_unloaded"][-1] > seen["time"][-1] - 0.1)
+    return there & still & turned & on_feet
+
+
+# ---- what was published ----------------------------------------------------------------------------------------------
+def measure_back(settings: FidelitySettings) -> list[Measured]:
+    """Figure 8.8: the male's standing back somersault."""
+    script = load_script("standing-back-somersault")
+    found = perform(character_named("gymnast-male"), script, _usual_and_disturbed(script, {}), settings)
+    return [_tried(row, found) for row in published_rows("back-somersault")]
+
+
+def measure_forward(settings: FidelitySettings) -> list[Measured]:
+    """Figures 8.9 and 8.10: the female's standing forward somersault, also with a backpack."""
+    script = load_script("standing-forward-somersault")
+    rows = published_rows("forward-somersault")
+    without = perform(character_named("gymnast-female"), script, _usual_and_disturbed(script, {}), settings)
+    found: dict[tuple[float, bool], Somersaults] = {(0.0, True): without}
+    for mass in sorted({row.number("backpack [kg]") for row in rows} - {0.0}):
+        carrying = gymnast("female", backpack=mass)
+        found[mass, False] = perform(carrying, script, [{}], settings)
+        found[mass, True] = perform(carrying, script, _usual_and_disturbed(script, {"backpack": mass}), settings)
+    return [
+        _carried(row, found[row.number("backpack [kg]"), row.given.get("script") != "as without"], without)
+        for row in rows
+    ]
+
+
+def _usual_and_disturbed(script: Script, values: Mapping[str, float]) -> list[dict[str, float]]:
+    return [dict(values), *({**one, **values} for one in script.varied(DISTURBED, SEED))]
+
+
+def _tried(row: Published, found: Somersaults) -> Measured:
+    if row.quantity == "ends balanced":
+        return Measured(row, float(found.balanced[0]))
+    return Measured(row, float(np.mean(found.balanced[1:])))
+
+
+def _carried(row: Published, found: Somersaults, without: Somersaults) -> Measured:
+    """A row about a somersault with a backpack; differences are from that without."""
+    later = {
+        "later opening": found.opening - found.liftoff - (without.opening - without.liftoff)[: len(found.opening)],
+        "difference of touchdown": abs(found.touchdown - found.liftoff - (without.touchdown - without.liftoff)),
+        "later balance": found.standing - found.liftoff - (without.standing - without.liftoff),
+        "higher centre of mass": found.highest - without.highest,
+        "higher peak rate": found.peak_rate - without.peak_rate,
+    } if len(found.opening) == len(without.opening) else {}
+    if row.quantity not in later:
+        return _tried(row, found)
+    return Measured(row, float(later[row.quantity][0]), note=NOTES.get(row.quantity, ""))
+
+
+NOTES: Mapping[str, str] = {
+    "later opening": "times are counted from liftoff; ours opens by the somersault that is ahead",
+}
+
+MEASURES: Mapping[str, Measure] = {"back-somersault": measure_back, "forward-somersault": measure_forward}
+"""For `maneuvers`, which gathers what is measured of chapter 8."""
