@@ -20,6 +20,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from echelon.scenario import (
     CHARACTERS,
+    PERFORMERS,
+    CastSettings,
     CollieSettings,
     ColumnFieldSettings,
     CorralSettings,
@@ -29,7 +31,9 @@ from echelon.scenario import (
     HerdSettings,
     ObstacleSettings,
     PelotonSettings,
+    PerformanceSettings,
     Scenario,
+    ScriptSettings,
     ShotSettings,
     TacticsSettings,
     UserSettings,
@@ -50,6 +54,9 @@ TABLES: Mapping[str, type] = {
     "world.column_field": ColumnFieldSettings,
     "world.walls": WallSettings,
     "collie": CollieSettings,
+    "performance": PerformanceSettings,
+    "performance.casts": CastSettings,
+    "performance.scripts": ScriptSettings,
     "peloton": PelotonSettings,
     "peloton.tactics": TacticsSettings,
     "user": UserSettings,
@@ -85,8 +92,8 @@ def table(kind: type) -> str:
         hint = hints[entry.name]
         if any(part in TABLES.values() for part in (hint, *get_args(hint))):
             continue
-        unit, allowed = _unit_and_allowed(hint, entry.name)
-        cells = (f"`{entry.name}`", _default(entry), unit, allowed, _meaning(meanings[entry.name], entry.name))
+        unit, allowed = _unit_and_allowed(hint, entry.name, kind)
+        cells = (f"`{entry.name}`", _default(entry, kind), unit, allowed, _meaning(meanings[entry.name], entry.name))
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows) + "\n"
 
@@ -107,20 +114,20 @@ def _meaning(text: str, name: str) -> str:
     return words[0].upper() + words[1:]
 
 
-def _default(entry: Field[Any]) -> str:
+def _default(entry: Field[Any], kind: type) -> str:
     if entry.default is MISSING:
-        return _FROM_NAME if entry.name == "name" else ""
+        return _FROM_NAME if entry.name == "name" and kind is Scenario else ""
     return f"`{to_toml({'x': entry.default}).strip().removeprefix('x = ')}`"
 
 
-def _unit_and_allowed(hint: Any, name: str) -> tuple[str, str]:
+def _unit_and_allowed(hint: Any, name: str, kind: type) -> tuple[str, str]:
     inner, within = hint, None
     if get_origin(hint) is Annotated:
         inner, within = get_args(hint)
     if get_origin(inner) is Literal:
         return "", ", ".join(f"`{to_toml({'x': option}).strip().removeprefix('x = ')}`" for option in get_args(inner))
     if name == "character":
-        return "", ", ".join(f'`"{character}"`' for character in CHARACTERS)
+        return "", ", ".join(f'`"{character}"`' for character in (PERFORMERS if kind is CastSettings else CHARACTERS))
     parts = (_kind_of(inner), _bounds(within) if isinstance(within, Within) else "")
     return within.unit if within else "", ", ".join(part for part in parts if part)
 
@@ -137,10 +144,12 @@ def _kind_of(hint: Any) -> str:
     """What kind of value a type stands for; nothing where the bounds say it all."""
     if get_origin(hint) is tuple:
         items = get_args(hint)
+        if items == (str, ...):
+            return "text, list of text"
         if items[1:] == (Ellipsis,):
             return f"list of [{', '.join('number' for _ in get_args(items[0]))}]"
         return f"[{', '.join('whole number' if item is int else 'number' for item in items)}]"
-    return {bool: "`true`, `false`", int: "whole number", str: "text"}.get(hint, "")
+    return {bool: "`true`, `false`", int: "whole number", str: "text", dict: "table"}.get(hint, "")
 
 
 def main(arguments: list[str]) -> int:

@@ -491,7 +491,7 @@ def test_list(said: Said) -> None:
     text = said()[0]
     assert cli.run(["list", "--json"]) == 0
     found = json.loads(said()[0])
-    assert set(found) == {"scenarios", "courses", "bodies", "characters"}
+    assert set(found) == {"scenarios", "maneuvers", "courses", "bodies", "characters"}
     assert "border-collie" in found["scenarios"]
     assert {"hopper", "male", "female"} <= set(found["bodies"])
     for names in found.values():

@@ -107,6 +107,7 @@ SETTINGS: Mapping[str, float] = {
     "placement_per_speed": 0.0,
     "placement_per_speed_squared": 0.0,
     "placement_upright": 0.6,
+    "placement_from_here": 0.0,
     "push_x": 0.0,
     "push_y": 0.0,
     "fall_tilt": STANDING_TILT,
@@ -118,7 +119,9 @@ SETTINGS: Mapping[str, float] = {
 [rad/m] and `balance_kv*` [rad s/m] are those of equations 7.1 and 7.2; `upright_pitch` [rad], `upright_gain` and
 `upright_rate` [s] turn the hips by the pelvis's pitch; `placement_kp` [rad/m] and `placement_kv` [rad s/m] are those of
 6.1, the feet should be `placement_x` + `placement_per_speed` v + `placement_per_speed_squared` v |v| ahead of the
-centre of mass [m], and are moved there while the cosine of the pelvis's tilt is above `placement_upright`;
+centre of mass [m], and are moved there while the cosine of the pelvis's tilt is above `placement_upright`, the hips
+starting from where their path has them, or with `placement_from_here` of 1 from where they are, which leaves nothing of
+the distance;
 `push_x`, `push_y` are a force on the sternum, forward and to the left [N];
 `fall_tilt` is how far the pelvis may tilt while a foot is loaded [rad]; `ahead_height` [m] and `ahead_inertia`
 [kg m^2] are the height of the centre of mass over the ground until which, and the inertia with which,
@@ -153,6 +156,7 @@ class Gymnast:
         body: Who; see `gymnast_body`.
         name: What scenarios call it.
         gain: Of all servos against the male's.
+        lean: Where the centre of mass is of one who begins, ahead of the middle of the feet [m].
     """
 
     commands: tuple[str, ...] = ()
@@ -168,10 +172,11 @@ class Gymnast:
     parameters: Mapping[str, float] = {"heading": 0.0, "strength": 1.0}
     heights: tuple[str, ...] = ("ground",)
 
-    def __init__(self, body: Body, name: str = "gymnast", gain: float = 1.0) -> None:
+    def __init__(self, body: Body, name: str = "gymnast", gain: float = 1.0, lean: float = 0.0) -> None:
         self.name = name
         self.body = body
         self.gain = gain
+        self.lean = lean
         self._links = {link.name: index for index, link in enumerate(body.links)}
         self._joints = {link.joint.name: index for index, link in enumerate(body.links)}
         self.memory: Mapping[str, float] = self._memory()
@@ -219,7 +224,7 @@ class Gymnast:
     @cached_property
     def _at_ease(self) -> np.ndarray:
         """Generalised positions of one who stands with the arms hanging, shape [q_count]."""
-        return standing_q(self.body, arms=0.5 * math.pi - ARMS_SPREAD)
+        return standing_q(self.body, arms=0.5 * math.pi - ARMS_SPREAD, lean=self.lean)
 
     @staticmethod
     def remembering(channels: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -403,7 +408,8 @@ class Gymnast:
         swing = swing + memory["row.placement_kv"] * rate
         running = memory["row.placement"] * select(memory["row.placement_upright"] < memory["upright"], 1.0, 0.0)
         for side in SIDES:
-            wanted[f"{side}_hip"] = wanted[f"{side}_hip"] - running * swing
+            here = view.q[self._coordinate(LIMBS["hip"], side)] - wanted[f"{side}_hip"]
+            wanted[f"{side}_hip"] = wanted[f"{side}_hip"] + running * (memory["row.placement_from_here"] * here - swing)
 
     def _flatten_feet(self, view: View, wanted: dict[str, Any]) -> None:
         """Equations 7.3 and 7.4: an ankle wants to be where it is, less what the foot is off the level."""
@@ -494,7 +500,13 @@ class Gymnast:
 
 
 def gymnast(
-    sex: Sex, *, backpack: float = 0.0, height: float | None = None, mass: float | None = None, name: str = ""
+    sex: Sex,
+    *,
+    backpack: float = 0.0,
+    height: float | None = None,
+    mass: float | None = None,
+    lean: float = 0.0,
+    name: str = "",
 ) -> Gymnast:
     """A gymnast whose servos are as much stronger than the male's as its limbs are harder to move.
 
@@ -502,12 +514,13 @@ def gymnast(
         sex: Whose proportions.
         backpack: What is carried [kg]; servos stay those of the body without it.
         height, mass: Of the body [m], [kg]; None for the thesis's.
+        lean: How far ahead of the middle of the feet the weight is at the start [m]: on their balls, for a diver.
         name: What scenarios call it; made of the sex if empty.
     """
     bare = gymnast_body(sex, height=height, mass=mass)
     tallness = HEIGHTS[sex] if height is None else height
     body = gymnast_body(sex, height=height, mass=mass, backpack=backpack) if backpack > 0.0 else bare
-    return Gymnast(body, name or f"gymnast-{sex}", bare.mass * tallness**2 / GAIN_BODY)
+    return Gymnast(body, name or f"gymnast-{sex}", bare.mass * tallness**2 / GAIN_BODY, lean)
 
 
 def _cosine_and_sine(angle: Any) -> tuple[Any, Any]:

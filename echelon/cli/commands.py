@@ -513,7 +513,7 @@ def bench(
 
 @command(app, "list", "  echelon list\n  echelon list --json")
 def list_(as_json: Json = False) -> None:
-    """List what ships: scenarios, bodies, characters."""
+    """List what ships: scenarios, maneuvers, courses, bodies, characters."""
     from echelon.cli.description import shipped
 
     found = shipped()
@@ -533,10 +533,12 @@ def list_(as_json: Json = False) -> None:
     "  echelon describe border-collie\n  echelon describe male\n  echelon describe herd.recording --json",
 )
 def describe(
-    what: Annotated[str, typer.Argument(metavar="SCENARIO|BODY|RECORDING", help="A name, a file or a folder.")],
+    what: Annotated[
+        str, typer.Argument(metavar="SCENARIO|MANEUVER|BODY|RECORDING", help="A name, a file or a folder.")
+    ],
     as_json: Json = False,
 ) -> None:
-    """Describe a scenario, a body or a recording.
+    """Describe a scenario, a maneuver, a body or a recording.
 
     A scenario is printed as the whole of its file, defaults included: a good beginning for one of your own.
     """

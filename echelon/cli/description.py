@@ -1,4 +1,4 @@
-"""Scenarios, bodies and recordings in words and as plain data, for `echelon list` and `echelon describe`."""
+"""Scenarios, maneuvers, bodies and recordings in words and as plain data: `echelon list` and `echelon describe`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from echelon.warp_kernels.model import Model
 
 
 def shipped() -> dict[str, dict[str, str]]:
-    """What ships: for "scenarios", "courses", "bodies" and "characters" each name and a line about it."""
+    """What ships: for "scenarios", "maneuvers", "courses", "bodies", "characters" each name and a line about it."""
     from echelon.agents.bodies import body_names, load_body
+    from echelon.agents.script import load_script, maneuver_names
     from echelon.terrain.course import course_names, course_path
 
     return {
         "scenarios": {name: Scenario.load(name).title for name in scenario_names()},
+        "maneuvers": {name: load_script(name).title for name in maneuver_names()},
         "courses": {name: tomllib.loads(course_path(name).read_text("utf-8"))["title"] for name in course_names()},
         "bodies": {name: _body_line(load_body(name)) for name in body_names()},
         "characters": dict(CHARACTERS),
@@ -29,38 +31,62 @@ def shipped() -> dict[str, dict[str, str]]:
 
 
 def describe(what: str) -> tuple[dict[str, Any], str]:
-    """A scenario, body or recording, by name or path: its data, and the same in words.
+    """A scenario, maneuver, body or recording, by name or path: its data, and the same in words.
 
     Raises:
         InputError: There is no such thing, or it is damaged.
     """
     from echelon.agents.bodies import body_names, load_body
+    from echelon.agents.script import maneuver_names
 
     path = Path(what)
     if what in scenario_names():
         return _describe_scenario(Scenario.load(what))
-    if what in body_names() or path.suffix == ".sd" or _is_body_file(path):
+    if what in body_names() or path.suffix == ".sd" or _holds(path, "links"):
         return _describe_body(load_body(what))
+    if what in maneuver_names() or _holds(path, "row"):
+        return _describe_maneuver(what)
     if path.suffix == ".toml":
         return _describe_scenario(Scenario.load(what))
     if path.is_dir():
         return _describe_recording(Recording(path))
-    known = {*scenario_names(), *body_names()}
-    raise InputError(f"{shown(what)}: no such scenario, body or recording{suggestion(what, known)}")
+    known = {*scenario_names(), *maneuver_names(), *body_names()}
+    raise InputError(f"{shown(what)}: no such scenario, maneuver, body or recording{suggestion(what, known)}")
 
 
-def _is_body_file(path: Path) -> bool:
-    """Whether a .toml file holds a body, which has links, rather than a scenario."""
+def _holds(path: Path, key: str) -> bool:
+    """Whether a .toml file has a key: a body has links, a maneuver rows, a scenario neither."""
     if path.suffix != ".toml":
         return False
     try:
-        return "links" in tomllib.loads(path.read_text(encoding="utf-8"))
+        return key in tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return False  # as a scenario it gets the message that it deserves
 
 
 def _describe_scenario(scenario: Scenario) -> tuple[dict[str, Any], str]:
     return scenario.to_dict(), scenario.to_toml().rstrip()
+
+
+def _describe_maneuver(name: str) -> tuple[dict[str, Any], str]:
+    """A maneuver's data, and the text of its file."""
+    from echelon.agents.script import parse_script, script_text
+
+    text, source = script_text(name)
+    script = parse_script(text, source)
+    data = {
+        "name": script.name,
+        "title": script.title,
+        "description": script.description,
+        "body": script.body,
+        "parameters": {
+            name: {"value": entry.value, "spread": entry.spread, "about": entry.about}
+            for name, entry in script.parameters.items()
+        },
+        "rows": list(script.row_names),
+        "text": text,
+    }
+    return data, text.rstrip()
 
 
 def _body_line(model: Model) -> str:

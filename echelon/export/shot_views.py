@@ -62,9 +62,11 @@ class ShotViews:
             return [self._corral_view()] * len(frames)
         if camera == "overview":
             return [self._overview(frames)] * len(frames)
+        if camera == "side":
+            return self._following(frames, from_the_side=True)
         if camera in ("roadside", "helicopter") or on_road:
             return self._along_the_road(frames, camera)
-        return self._following(frames, from_the_side=camera == "side")
+        return self._following(frames)
 
     def common(self, frames: Sequence[int]) -> View | None:
         """One view of all bodies at all of some frames; None where they move too far for that."""

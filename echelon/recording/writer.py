@@ -40,15 +40,14 @@ import numpy as np
 from echelon.errors import InputError
 from echelon.ranks import Ranks
 from echelon.recording.chunk_files import ComparedFile, GrowingFile
+from echelon.recording.event_log import EventLog, event_table, sorted_events
 from echelon.recording.layout import (
-    EVENT_DTYPE,
     MANIFEST,
     ArrayLayout,
     StatePart,
     agent_state_array,
     checksum,
     chunk_frames,
-    event_array,
     event_rows,
     pack_agent_state,
     pack_state,
@@ -103,7 +102,7 @@ class RecordingWriter:
         self._arrays = manifest_frame_arrays(manifest)
         frame_bytes = sum(array.nbytes for array in self._arrays.values()) // manifest.chunk_frames
         self.piece_frames = piece_frames(max(frame_bytes, 1), manifest.chunk_frames)
-        self._events = event_array(manifest.event_rows)
+        self._events = EventLog(manifest.event_rows)
         self._state_parts: tuple[StatePart, ...] = manifest.state
         self._described: dict[str, int] = {}  # length of each array as its zarr.json has it, where that is known
         self._ranks = ranks
@@ -111,8 +110,6 @@ class RecordingWriter:
         self._committed = manifest.chunk_count
         self._safe_frames = manifest.frame_count
         self.seconds = 0.0
-        self._event_count = 0
-        self._event_tail = np.zeros((0, 4), np.int32)
         self._lock = held
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="recording")
         self._writing: deque[Future[None]] = deque()
@@ -246,7 +243,7 @@ class RecordingWriter:
     ) -> None:
         """A whole chunk at once; arguments and what is raised as for `begin_chunk`, `extend` and `end_chunk`."""
         end = self.next_frame + len(frames["link_poses"])
-        _event_table(events, self.next_frame, end)
+        event_table(events, self.next_frame, end)
         self.begin_chunk(state, agent_state)
         self.extend(frames)
         self.end_chunk(events)
@@ -310,7 +307,7 @@ class RecordingWriter:
         if not self._extended:
             raise ValueError("there are no frames in this chunk")
         end = self.next_frame + self._extended
-        table = self._gathered(_event_table(events, self.next_frame, end))
+        table = self._gathered(event_table(events, self.next_frame, end))
         self._settle(wait=True)
         index = self.next_frame // self.chunk_frames
         try:
@@ -325,7 +322,7 @@ class RecordingWriter:
                     self._compare_events(table)
                 else:
                     self._store_events(table)
-                    self._commit(end, self._event_count)
+                    self._commit(end, self._events.count)
         except OSError as error:
             self._ended = True
             raise self._failed(error) from None
@@ -351,8 +348,8 @@ class RecordingWriter:
                 for layout in self._arrays.values():
                     self._describe(layout, self.next_frame)
                 self._describe_states(-(-self.next_frame // self.chunk_frames))
-                self._describe(self._events, self._event_count)
-                self._commit(self.next_frame, self._event_count, status="done", summary=summary)
+                self._describe(self._events.layout, self._events.count)
+                self._commit(self.next_frame, self._events.count, status="done", summary=summary)
             except OSError as error:
                 raise self._failed(error) from None
         self.close()
@@ -403,7 +400,7 @@ class RecordingWriter:
         """The events of all ranks, sorted, on the first."""
         if self._ranks.size == 1:
             return table
-        return _sorted(self._ranks.gather(table))
+        return sorted_events(self._ranks.gather(table))
 
     @property
     def _agent_states(self) -> ArrayLayout:
@@ -472,38 +469,17 @@ class RecordingWriter:
                     raise self._different(layout.name)
 
     def _compare_events(self, table: np.ndarray) -> None:
-        size = self._events.chunk[0]
-        first = self._event_count // size
-        rows = np.concatenate([self._event_tail, table])
-        same = self._event_count + len(table) == self.manifest.event_count
-        for start in range(0, len(rows) if same else 0, size):
-            part = rows[start : start + size]
-            same = same and np.array_equal(
-                read_chunk(self.path, self._events, first + start // size)[: len(part)], part
-            )
-        if not same:
-            raise self._different(self._events.name)
-        self._count_events(table)
-
-    def _count_events(self, table: np.ndarray) -> None:
-        """Add events to those known, keeping the rows of the chunk of events that is not yet full."""
-        rows = np.concatenate([self._event_tail, table])
-        self._event_count += len(table)
-        full = len(rows) // self._events.chunk[0] * self._events.chunk[0]
-        self._event_tail = rows[full:]
+        if not self._events.stands_in(self.path, table, self.manifest.event_count):
+            raise self._different(self._events.layout.name)
+        self._events.add(table)
 
     def _store_events(self, table: np.ndarray) -> None:
-        size = self._events.chunk[0]
-        before = -(-self._event_count // size)
-        first = self._event_count // size
-        rows = np.concatenate([self._event_tail, table])
-        if len(table):
-            for start in range(0, len(rows), size):
-                self._store(self._events, first + start // size, 0, rows[start : start + size])
-        self._count_events(table)
-        chunks = -(-self._event_count // size)
-        if chunks != before:
-            self._describe(self._events, chunks * size)
+        before = self._events.chunks
+        for index, rows in self._events.changed_chunks(table):
+            self._store(self._events.layout, index, 0, rows)
+        self._events.add(table)
+        if self._events.chunks != before:
+            self._describe(self._events.layout, self._events.chunks * self._events.layout.chunk[0])
 
     def _describe(self, layout: ArrayLayout, length: int) -> None:
         if self._described.get(layout.name) != length:
@@ -549,7 +525,7 @@ class RecordingWriter:
             for layout in layouts
         }
         event_chunks = -(-manifest.event_count // manifest.event_rows)
-        keep["events"] = {self._events.chunk_name(i) for i in range(event_chunks)}
+        keep["events"] = {self._events.layout.chunk_name(i) for i in range(event_chunks)}
         for entry in list(self.path.iterdir()):
             if entry.name in keep and entry.is_dir():
                 for file in list(entry.iterdir()):
@@ -559,7 +535,7 @@ class RecordingWriter:
                 entry.unlink()
         for layout in self._arrays.values():
             self._describe(layout, manifest.frame_limit)
-        self._describe(self._events, event_chunks * manifest.event_rows)
+        self._describe(self._events.layout, event_chunks * manifest.event_rows)
         if self._committed:
             self._describe_states(-(-self.frame_limit // self.chunk_frames))
 
@@ -567,16 +543,7 @@ class RecordingWriter:
         """The state to go on from; takes up the events before it."""
         if not self._committed:
             return None
-        size, count = self._events.chunk[0], self.manifest.event_count
-        tail = np.zeros((0, 4), np.int32)
-        for index in range(-(-count // size) - 1, -1, -1):
-            rows = read_chunk(self.path, self._events, index)[: count - index * size]
-            before = int(np.searchsorted(rows[:, 0], self.next_frame))
-            if before or index == 0:
-                tail, self._event_count = rows[:before], index * size + before
-                break
-        # A full chunk of events is complete: what comes next opens another.
-        self._event_tail = tail[len(tail) // size * size :].astype(np.int32)
+        self._events.take_up(self.path, self.manifest.event_count, self.next_frame)
         packed, agents = (
             read_chunk(self.path, layout, self._committed - 1)[0]
             for layout in (state_array(self._state_parts), self._agent_states)
@@ -636,22 +603,3 @@ def _chunk_bytes(layout: ArrayLayout, array: np.ndarray) -> np.ndarray:
         room = np.zeros((len(array), layout.chunk[1] - array.shape[1], *array.shape[2:]), array.dtype)
         array = np.concatenate([array, room], axis=1)
     return np.ascontiguousarray(array, dtype=layout.dtype).reshape(-1).view(np.uint8)
-
-
-def _event_table(events: np.ndarray | None, first: int, end: int) -> np.ndarray:
-    """Events as rows of frame, substep, agent, kind, sorted, int32, shape [events, 4]."""
-    if events is None or not len(events):
-        return np.zeros((0, 4), np.int32)
-    if events.dtype != EVENT_DTYPE:
-        raise ValueError(f"events: {events.dtype} is not {EVENT_DTYPE}")
-    if events["frame"].min() < first or events["frame"].max() >= end:
-        raise ValueError(f"events: of frames outside of this chunk, {first} to {end - 1}")
-    return _sorted(np.stack([events[name].astype(np.int32) for name in EVENT_DTYPE.names or ()], axis=1))
-
-
-def _sorted(table: np.ndarray) -> np.ndarray:
-    """Rows of events of one chunk by frame, substep, agent, kind."""
-    key = np.zeros(len(table), np.int64)  # one number to sort by is three times as fast as four
-    for column in table.T if len(table) else ():
-        key = key * (int(np.ptp(column)) + 1) + (column - column.min())
-    return table[np.argsort(key, kind="stable")]

@@ -186,7 +186,8 @@ def test_the_recording_keeps_the_text_of_every_maneuver(recorded: Recording, tmp
 def test_a_maneuver_in_a_file_may_change_after_the_run(tmp_path: Path) -> None:
     (tmp_path / "sink.toml").write_text(SINK, "utf-8")
     (tmp_path / "shot.toml").write_text(
-        'seconds = 0.5\n[crowd]\ncharacter = "gymnast-male"\ncount = 1\n[performance]\nmaneuver = "sink.toml"\n', "utf-8"
+        'seconds = 0.5\n[crowd]\ncharacter = "gymnast-male"\ncount = 1\n[performance]\nmaneuver = "sink.toml"\n',
+        "utf-8",
     )
     recording = simulate(Scenario.load(tmp_path / "shot.toml"), recording=tmp_path / "shot.recording", threads=1)
     (tmp_path / "sink.toml").unlink()
