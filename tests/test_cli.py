@@ -516,6 +516,16 @@ def test_describe_a_body(said: Said) -> None:
     assert json.loads(said()[0])["link_names"] == list(load_body("hopper").link_names)
 
 
+def test_describe_a_maneuver(said: Said, here: Path) -> None:
+    """What is printed is a maneuver's file."""
+    assert cli.run(["describe", "stand-on-slope"]) == 0
+    (here / "mine.toml").write_text(said()[0])
+    assert cli.run(["describe", "mine.toml", "--json"]) == 0
+    data = json.loads(said()[0])
+    assert data["name"] == "stand-on-slope"
+    assert data["rows"]
+
+
 def test_describe_a_recording(recorded: str, said: Said) -> None:
     assert cli.run(["describe", recorded]) == 0
     text = said()[0]

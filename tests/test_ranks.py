@@ -44,6 +44,9 @@ main()
 HERD = ("border-collie", ["seconds=3", "crowd.count=13"])
 # Uneven parts, a user, and contact between riders who start close together.
 RIDE = ("olympic-race", ["seconds=2.5", "crowd.count=13"])
+# Two bodies, an engine each; a rank may have some of both.
+CASTS = 'performance.casts=[{character="gymnast-male", share=2}, {character="gymnast-female"}]'
+TROUPE = ("troupe", ["seconds=2.5", "crowd.count=13", CASTS, 'performance.maneuver=["knee-bend", "stand"]'])
 
 
 def launch(count: int, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -75,7 +78,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(layout, "SHARD_AGENTS", SHARD)
         patch.setattr(layout, "_CHUNK_SECONDS", CHUNK_SECONDS)
-        for name, settings in (HERD, RIDE):
+        for name, settings in (HERD, RIDE, TROUPE):
             found[name] = tmp_path_factory.mktemp(name) / "alone.recording"
             simulate(Scenario.load(name, settings), recording=found[name], threads=1)
     return found
@@ -83,7 +86,9 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @needs_mpi
 @pytest.mark.parametrize(
-    ("plan", "count"), [(HERD, 2), (HERD, 3), (HERD, 4), (RIDE, 3)], ids=["herd-2", "herd-3", "herd-4", "ride-3"]
+    ("plan", "count"),
+    [(HERD, 2), (HERD, 3), (HERD, 4), (RIDE, 3), (TROUPE, 3)],
+    ids=["herd-2", "herd-3", "herd-4", "ride-3", "troupe-3"],
 )
 def test_the_bytes_are_those_of_one_process(
     plan: tuple[str, list[str]], count: int, alone: dict[str, Path], tmp_path: Path

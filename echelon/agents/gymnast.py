@@ -46,6 +46,7 @@ from echelon.agents.gymnast_channels import (
     JointAxis,
     shoulder_orientation,
 )
+from echelon.agents.gymnast_joints import joint_strength
 from echelon.agents.gymnast_posture import channels_of
 from echelon.warp_kernels.character import NO_EVENT, Population, View
 from echelon.warp_kernels.contact import JointForces
@@ -157,6 +158,8 @@ class Gymnast:
         name: What scenarios call it.
         gain: Of all servos against the male's.
         lean: Where the centre of mass is of one who begins, ahead of the middle of the feet [m].
+        strongest: Greatest torques of the joints, which the parameter `strength` multiplies as well, as
+            `gymnast_joints.joint_strength` has them [N m], shape [u_count, 2]; None for any.
     """
 
     commands: tuple[str, ...] = ()
@@ -172,10 +175,18 @@ class Gymnast:
     parameters: Mapping[str, float] = {"heading": 0.0, "strength": 1.0}
     heights: tuple[str, ...] = ("ground",)
 
-    def __init__(self, body: Body, name: str = "gymnast", gain: float = 1.0, lean: float = 0.0) -> None:
+    def __init__(
+        self,
+        body: Body,
+        name: str = "gymnast",
+        gain: float = 1.0,
+        lean: float = 0.0,
+        strongest: np.ndarray | None = None,
+    ) -> None:
         self.name = name
         self.body = body
         self.gain = gain
+        self.strongest = strongest
         self.lean = lean
         self._links = {link.name: index for index, link in enumerate(body.links)}
         self._joints = {link.joint.name: index for index, link in enumerate(body.links)}
@@ -273,8 +284,8 @@ class Gymnast:
         memory["feet_x"] = middle[0] - forward[0]
         memory["com_height"] = center[2] - memory["ground"]
         memory["highest"] = maximum(memory["highest"], memory["com_height"])
-        # By what the body's momentum gained, not by what contacts ask for before their dampers give way (see `contact`):
-        # a foot of 1 kg that stops within a substep asks for much more than the ground ever carries.
+        # By what the body's momentum gained, not by what contacts ask for before their dampers give way (see
+        # `contact`): a foot of 1 kg that stops within a substep asks for much more than the ground ever carries.
         gained = (velocity[2] - memory["vz"]) * (1.0 / view.tick)
         memory["reaction"] = select(memory["time"] > 0.0, self.body.mass * (gained + self.body.gravity), 0.0)
         memory["peak_force"] = maximum(memory["peak_force"], memory["reaction"])
@@ -450,7 +461,7 @@ class Gymnast:
         def servo(joint: str, axis: int, desired: Any, group: str, gains: tuple[float, float]) -> None:
             at_q, at_u = self._place(joint, axis)
             kp, kv = gains[0] * memory[f"kp.{group}"], gains[1] * memory[f"kv.{group}"]
-            joints.servo(at_u, view.q[at_q], view.u[at_u], desired, 0.0, kp, kv, h)
+            joints.servo(at_u, view.q[at_q], view.u[at_u], desired, 0.0, kp, kv, h, self._strength(view, at_u))
 
         for side in SIDES:
             for name, axis in LIMBS.items():
@@ -459,7 +470,10 @@ class Gymnast:
             at_q, at_u = self._place(f"{side}_shoulder", 0)
             kp, kv = GAINS["shoulder"][0] * memory["kp.shoulder"], GAINS["shoulder"][1] * memory["kv.shoulder"]
             desired = [memory[f"desired.{side}_shoulder.{part}"] for part in "xyzw"]
-            joints.ball_servo(at_u, list(view.q[at_q : at_q + 4]), list(view.u[at_u : at_u + 3]), desired, kp, kv, h)
+            here, turning = list(view.q[at_q : at_q + 4]), list(view.u[at_u : at_u + 3])
+            strengths = [self._strength(view, at_u + i) for i in range(3)]
+            limited = [one for one in strengths if one is not None]
+            joints.ball_servo(at_u, here, turning, desired, kp, kv, h, limited or None)
         for joint in SPINE_JOINTS:
             for name, axis in SPINE.items():
                 servo(joint, axis, memory[f"desired.{name}"], "spine", SPINE_GAINS[joint])
@@ -469,6 +483,13 @@ class Gymnast:
         x, y = memory["row.push_x"], memory["row.push_y"]
         view.pushes["sternum"] = [c * x - s * y, s * x + c * y, 0.0]
         self._feel(view)
+
+    def _strength(self, view: View, speed: int) -> tuple[Any, Any] | None:
+        """Greatest torques of an axis [N m], towards smaller and towards greater angles; None for any."""
+        if self.strongest is None:
+            return None
+        low, high = (float(torque) for torque in self.strongest[speed])
+        return low * view.parameters["strength"], high * view.parameters["strength"]
 
     def _feel(self, view: View) -> None:
         """Latch what the contacts carry."""
@@ -507,6 +528,8 @@ def gymnast(
     mass: float | None = None,
     lean: float = 0.0,
     name: str = "",
+    strength_limits: bool = False,
+    joint_limits: bool = False,
 ) -> Gymnast:
     """A gymnast whose servos are as much stronger than the male's as its limbs are harder to move.
 
@@ -516,11 +539,16 @@ def gymnast(
         height, mass: Of the body [m], [kg]; None for the thesis's.
         lean: How far ahead of the middle of the feet the weight is at the start [m]: on their balls, for a diver.
         name: What scenarios call it; made of the sex if empty.
+        strength_limits: Whether joints are no stronger than a trained human's (see `gymnast_joints`).
+        joint_limits: Whether joints have soft stops where a human's end.
     """
     bare = gymnast_body(sex, height=height, mass=mass)
     tallness = HEIGHTS[sex] if height is None else height
-    body = gymnast_body(sex, height=height, mass=mass, backpack=backpack) if backpack > 0.0 else bare
-    return Gymnast(body, name or f"gymnast-{sex}", bare.mass * tallness**2 / GAIN_BODY, lean)
+    body = bare
+    if backpack > 0.0 or joint_limits:
+        body = gymnast_body(sex, height=height, mass=mass, backpack=backpack, limits=joint_limits)
+    strongest = joint_strength(body, sex, tallness, bare.mass) if strength_limits else None
+    return Gymnast(body, name or f"gymnast-{sex}", bare.mass * tallness**2 / GAIN_BODY, lean, strongest)
 
 
 def _cosine_and_sine(angle: Any) -> tuple[Any, Any]:

@@ -34,6 +34,7 @@ SIDE_ELEVATION = float(np.radians(6.0))
 
 SMOOTHING = 1.5  # [s]
 SIDE_SMOOTHING = 0.4  # [s]
+LOWEST_SEEN = 0.3  # [m]; whoever is lower, under water say, is not followed further
 BODY_REACH = 1.2  # [m] about a body's first link, in which all of it is, arms and legs stretched
 BODY_HEIGHT = 0.9  # [m] of the middle of what must be seen of a body, above its place on the ground
 BODY_RADIUS = 1.1  # [m] about that middle
@@ -147,8 +148,14 @@ def side_views(bodies: np.ndarray, heading: float, frame_rate: int, aspect: floa
         aspect: Width of the picture over its height.
     """
     framing = Framing(aspect, SIDE_ELEVATION, heading - 0.5 * np.pi)
-    smooth = _smoothed(framing.limits(bodies, BODY_REACH), max(round(SIDE_SMOOTHING * frame_rate), 1))
-    return [framing.view(limits) for limits in smooth]
+    reach = max(round(SIDE_SMOOTHING * frame_rate), 1)
+    seen = bodies.copy()
+    seen[..., 2] = np.maximum(seen[..., 2], LOWEST_SEEN)
+    # The camera goes along with them, at no cost in size however fast they are; what must be in the picture is seen
+    # from there.
+    way = correlate1d(0.5 * (seen.min(axis=1) + seen.max(axis=1)), _bell(reach), axis=0, mode="nearest")
+    smooth = _smoothed(framing.limits(seen - way[:, None], BODY_REACH), reach)
+    return [framing.view(smooth[frame]).moved(way[frame]) for frame in range(len(way))]
 
 
 def smoothing_frames(frame_rate: int) -> int:
@@ -159,8 +166,13 @@ def smoothing_frames(frame_rate: int) -> int:
 def _smoothed(limits: np.ndarray, reach: int) -> np.ndarray:
     """Demands frame by frame, made smooth over some frames either side, so that each frame's own are still met."""
     lowest = minimum_filter1d(limits, 2 * reach + 1, axis=0, mode="nearest")
+    return correlate1d(lowest, _bell(reach), axis=0, mode="nearest")
+
+
+def _bell(reach: int) -> np.ndarray:
+    """Weights of an average over so many frames either side, a raised cosine."""
     weights = 1.0 + np.cos(np.pi * np.arange(-reach, reach + 1) / (reach + 1))
-    return correlate1d(lowest, weights / weights.sum(), axis=0, mode="nearest")
+    return weights / weights.sum()
 
 
 def _near(bodies: np.ndarray, actors: np.ndarray) -> np.ndarray:

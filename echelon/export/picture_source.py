@@ -14,7 +14,7 @@ from echelon.export.drawn_parts import DrawnPart, parts_of
 from echelon.export.drawn_road import DrawnRoad, drawn_road
 from echelon.export.removed import places_to_frame, removed_agents
 from echelon.export.road_scene import is_road, road_scene
-from echelon.export.shapes import Mesh, columns_mesh, fence_mesh
+from echelon.export.shapes import Mesh, columns_mesh, fence_mesh, platform_mesh
 from echelon.recording import Recording
 
 COLUMNS_NAME = "columns"  # what stands among the fences and is of stone
@@ -53,6 +53,29 @@ class DrawnPen:
 
 
 @dataclass(frozen=True)
+class DrawnPlatform:
+    """A platform above water.
+
+    Attributes:
+        height: Of its surface [m].
+        edge: Middle of its edge (x, y) [m].
+        heading: From the edge inwards, from x towards y [rad].
+        mesh: What it looks like [m].
+    """
+
+    height: float
+    edge: tuple[float, float]
+    heading: float
+    mesh: Mesh
+
+    def planes(self, places: np.ndarray) -> np.ndarray:
+        """The plane n . x = d beneath each place [m], shapes [n, 3] and [n, 4]: the platform's or the water's."""
+        inward = (places[:, :2] - self.edge) @ [np.cos(self.heading), np.sin(self.heading)]
+        level = np.where((inward >= 0.0) & (places[:, 2] > 0.5 * self.height), self.height, 0.0)
+        return np.column_stack([np.zeros((len(places), 2)), np.ones(len(places)), level])
+
+
+@dataclass(frozen=True)
 class DrawnWorld:
     """What stands still.
 
@@ -63,6 +86,7 @@ class DrawnWorld:
         road: The road and what is around it, if it is one; there is nothing else then.
         heading: Which way those face who perform, from x towards y [rad].
         mat: Half length and half width of the mat on open ground [m]; None where there is none.
+        platform: That above the water, if all around is water.
     """
 
     oval: tuple[float, float] | None
@@ -71,6 +95,7 @@ class DrawnWorld:
     road: DrawnRoad | None = None
     heading: float = 0.0
     mat: tuple[float, float] | None = None
+    platform: DrawnPlatform | None = None
 
 
 class PictureSource(Protocol):
@@ -142,6 +167,14 @@ class RecordedSource:
         return removed_agents(self._recording, slice(first, last))
 
 
+def drawn_platform(platform: Mapping[str, Any]) -> DrawnPlatform:
+    """A platform as a recording or a stage has it."""
+    x, y = platform["edge"]
+    return DrawnPlatform(
+        float(platform["height"]), (float(x), float(y)), float(platform["heading"]), platform_mesh(platform)
+    )
+
+
 def _drawn_world(world: Mapping[str, Any]) -> DrawnWorld:
     if is_road(world):
         return DrawnWorld(None, (), None, drawn_road(road_scene(world)))
@@ -159,5 +192,6 @@ def _drawn_world(world: Mapping[str, Any]) -> DrawnWorld:
         if corral is None
         else DrawnPen((float(corral["center"][0]), float(corral["center"][1])), float(corral["size"])),
         heading=float(world.get("heading", 0.0)),
+        platform=drawn_platform(world["platform"]) if "platform" in world else None,
         mat=(float(ground["half_length"]), float(ground["half_width"])) if ground["shape"] == "mat" else None,
     )

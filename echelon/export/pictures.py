@@ -195,7 +195,10 @@ class _Shot:
         shift = np.array([origin[0], origin[1], 0.0])
         with Renderer(self.size, scenery(self.source.world, low, high, origin)) as renderer:
             for view, (links, actors, removed) in zip(views, self._poses(frames), strict=True):
-                surfaces = moving.surfaces(_moved(links, -shift), _moved(actors, -shift), removed=removed)
+                ground = None
+                if self.source.world.platform is not None:
+                    ground = self.source.world.platform.planes(np.concatenate([links[:, 0, :3], actors[:, :3]]))
+                surfaces = moving.surfaces(_moved(links, -shift), _moved(actors, -shift), ground, removed=removed)
                 yield renderer.draw(view.moved(-shift), surfaces)
 
     def _on_a_road(

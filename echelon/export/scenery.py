@@ -20,6 +20,8 @@ MEADOW = np.array([0.130, 0.230, 0.072])  # outside the infield
 TRACK = np.array([0.42, 0.30, 0.19])  # around the infield
 MAT = np.array([0.055, 0.16, 0.34])
 MAT_EDGE = np.array([0.62, 0.60, 0.55])
+WATER = np.array([0.03, 0.20, 0.28])
+CONCRETE = np.array([0.55, 0.56, 0.57])
 PEN_FLOOR = np.array([0.36, 0.29, 0.15])
 RAILS = np.array([0.80, 0.78, 0.72])
 PEN_RAILS = np.array([0.52, 0.16, 0.06])
@@ -47,7 +49,11 @@ def scenery(world: DrawnWorld, low: np.ndarray, high: np.ndarray, origin: np.nda
     """
     middle = 0.5 * (low + high)
     # Each piece of ground ends where the next begins: hidden layers would cost the rasteriser as much as seen ones.
-    if world.oval is not None:
+    if world.platform is not None:
+        edge = _rectangle_outline(np.full(2, 60.0))
+        solid = [_fan(np.concatenate([[[0.0, 0.0]], middle + edge]), 0.0, np.tile(WATER, (_SEGMENTS + 1, 1)))]
+        solid.append(_matt(world.platform.mesh, CONCRETE))
+    elif world.oval is not None:
         length, width = world.oval
         middle = np.zeros(2)
         infield, edge = (_oval_outline(length + wider, width + wider) for wider in (-0.1, TRACK_WIDTH))

@@ -30,6 +30,7 @@ SEGMENTS_HALF_CIRCLE = 48  # of the oval's outline
 POST_SPACING = 2.0  # [m] between fence posts, at most
 POST_HALF_WIDTH = 0.05  # [m]
 RAIL_HALF_HEIGHT = 0.05  # [m]
+PLATFORM_THICKNESS = 0.25  # [m]
 RAIL_HALF_DEPTH = 0.02  # [m]
 RAIL_HEIGHTS = (0.3, 0.62, 0.94)  # as parts of the fence's height
 
@@ -173,6 +174,20 @@ def wall_mesh(points: Sequence[Sequence[float]] | np.ndarray, closed: bool, heig
     )
     centers = np.column_stack([starts + 0.5 * spans, np.full(len(lengths), 0.5 * height)])
     return _boxes(centers, half_sizes, headings)
+
+
+def platform_mesh(platform: Mapping[str, Any]) -> Mesh:
+    """A platform above water with the pillar that carries it, from its height, heading, edge, length and width [m]."""
+    height, length, width = (float(platform[key]) for key in ("height", "length", "width"))
+    heading = float(platform["heading"])
+    inward = np.array([np.cos(heading), np.sin(heading), 0.0])
+    edge = np.array([*platform["edge"], 0.0], dtype=float)
+    up = np.array([0.0, 0.0, 1.0])
+    thickness = min(PLATFORM_THICKNESS, height)
+    slab = edge + 0.5 * length * inward + (height - 0.5 * thickness) * up
+    pillar = edge + 0.75 * length * inward + 0.5 * (height - thickness) * up
+    half_sizes = 0.5 * np.array([[length, width, thickness], [0.25 * length, 0.6 * width, height - thickness]])
+    return _boxes(np.stack([slab, pillar]), half_sizes, np.full(2, heading))
 
 
 def ground_mesh(ground: Mapping[str, object], margin: float = 0.0) -> Mesh:

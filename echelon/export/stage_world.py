@@ -4,14 +4,17 @@
 # USD's modules are compiled and come without stubs.
 from __future__ import annotations
 
+import json
+
 import numpy as np
 from pxr import Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 
 from echelon.export.drawn_road import DrawnRoad, DrawnThings
-from echelon.export.picture_source import PEN_NAME, DrawnFence, DrawnPen, DrawnWorld
+from echelon.export.picture_source import PEN_NAME, DrawnFence, DrawnPen, DrawnWorld, drawn_platform
 from echelon.export.road_scene import GroundPart
 from echelon.export.shapes import POST_HALF_WIDTH
+from echelon.export.stage.scene import PLATFORM
 from echelon.export.stage_prims import drawn_part, meshes_beneath, own_color, read_mesh
 
 _RECTANGLE_POINTS = 5  # of the ground's mesh, its middle included; an oval has more
@@ -25,8 +28,12 @@ def read_world(world: Usd.Prim) -> DrawnWorld:
         return DrawnWorld(None, (), None, _read_road(world))
     oval, fences, pen, mat = None, [], None, None
     heading = float(world.GetCustomDataByKey("heading") or 0.0)
+    platform = None
     for prim in world.GetChildren():
         meshes = meshes_beneath(prim)
+        if prim.GetName() == PLATFORM:
+            platform = drawn_platform(json.loads(prim.GetCustomDataByKey("platform")))
+            continue
         if prim.GetName() == "Ground":
             for turf in (mesh for mesh in meshes if mesh.GetName() == "turf"):
                 points = drawn_part(turf, world).mesh.points
@@ -41,7 +48,7 @@ def read_world(world: Usd.Prim) -> DrawnWorld:
             low, high = fences[-1].mesh.extent[:, :2].astype(np.float64)
             middle = 0.5 * (low + high)
             pen = DrawnPen((float(middle[0]), float(middle[1])), float((high - low).max()) - 2.0 * POST_HALF_WIDTH)
-    return DrawnWorld(oval, tuple(fences), pen, heading=heading, mat=mat)
+    return DrawnWorld(oval, tuple(fences), pen, heading=heading, mat=mat, platform=platform)
 
 
 # ---- a road --------------------------------------------------------------------------------------------------------

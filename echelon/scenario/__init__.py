@@ -4,7 +4,14 @@ from echelon.scenario.herd import CollieSettings, HerdSettings
 from echelon.scenario.performance import PERFORMERS, CastSettings, PerformanceSettings, ScriptSettings
 from echelon.scenario.road import ObstacleSettings, PelotonSettings, TacticsSettings, UserSettings
 from echelon.scenario.scenario import CHARACTERS, RIDERS, CrowdSettings, EngineSettings, Scenario, ShotSettings
-from echelon.scenario.world import ColumnFieldSettings, CorralSettings, GapSettings, WallSettings, WorldSettings
+from echelon.scenario.world import (
+    ColumnFieldSettings,
+    CorralSettings,
+    GapSettings,
+    PlatformSettings,
+    WallSettings,
+    WorldSettings,
+)
 
 __all__ = [
     "CHARACTERS",
@@ -21,6 +28,7 @@ __all__ = [
     "ObstacleSettings",
     "PelotonSettings",
     "PerformanceSettings",
+    "PlatformSettings",
     "Scenario",
     "ScriptSettings",
     "ShotSettings",

@@ -81,6 +81,7 @@ class PerformanceSettings:
         delay_spread: Each waits longer than that by up to this [s].
         waiting: The maneuver whose first row they do while they wait.
         heading: Which way they face, from x towards y [rad].
+        lean: By how much their centre of mass starts ahead of the middle of their feet [m].
         casts: Bodies that a troupe is made of; none for that of the crowd's character.
         scripts: Maneuvers that are kept here, not in files; a recording's scenario has all of them.
     """
@@ -94,6 +95,7 @@ class PerformanceSettings:
     delay_spread: Annotated[float, Within("s", at_least=0, at_most=1e4)] = 0.0
     waiting: str = "stand"
     heading: Annotated[float, Within("rad", at_least=-100, at_most=100)] = 0.0
+    lean: Annotated[float, Within("m", at_least=-0.2, at_most=0.2)] = 0.0
     casts: tuple[CastSettings, ...] = ()
     scripts: tuple[ScriptSettings, ...] = ()
 

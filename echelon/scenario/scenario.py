@@ -284,9 +284,11 @@ class Scenario:
                 raise SettingError(key, ": needs world.ground = 'road'")
 
     def _check_performance(self) -> None:
+        allowed = ", ".join(PERFORMERS)
+        if self.world.platform is not None and not self.performs:
+            raise SettingError("world.ground", f" = 'water': needs crowd.character to be one of {allowed}")
         if not self.performs:
             if self.performance is not None:
-                allowed = ", ".join(PERFORMERS)
                 raise SettingError("performance", f": needs crowd.character to be one of {allowed}")
             return
         if self.collie is not None:

@@ -161,12 +161,35 @@ class ColumnFieldSettings:
 
 
 @dataclass(frozen=True)
+class PlatformSettings:
+    """A platform above water, that divers leap from; the places where they start are of the balls of their feet.
+
+    Attributes:
+        height: Of its surface above the water [m].
+        heading: Which way one faces who stands at its edge with the back to the water, from x towards y [rad].
+        edge: Middle of its edge (x, y) [m].
+        length: From the edge to its other end, as it is drawn [m].
+        width: As it is drawn [m].
+    """
+
+    height: Annotated[float, Within("m", above=0, at_most=100)] = 10.0
+    heading: Annotated[float, Within("rad", at_least=-100, at_most=100)] = 0.0
+    edge: Annotated[Point, Within("m", at_least=-1e5, at_most=1e5)] = (0.0, 0.0)
+    length: Annotated[float, Within("m", above=0, at_most=1e3)] = 5.0
+    width: Annotated[float, Within("m", above=0, at_most=1e3)] = 2.5
+
+    def __post_init__(self) -> None:
+        adopt(self, "world.platform")
+
+
+@dataclass(frozen=True)
 class WorldSettings:
     """The ground and what stands on it.
 
     Attributes:
         ground: "oval" is a fenced infield of two straight sides and two half circles about the origin; "plane" is open;
-            "mat" is open too, with a mat in its middle that is only drawn; "road" is a course with the land around it,
+            "mat" is open too, with a mat in its middle that is only drawn; "water" is for divers, who stand on
+            `platform` and whom the water does not hold; "road" is a course with the land around it,
             and for riders.
         course: For a road, the name of a course that ships, or the path of a course (.toml) or a GPS track (.gpx).
         laps: How often a race goes round the course; 0 takes what the course says.
@@ -174,6 +197,7 @@ class WorldSettings:
         half_width: Half its width along y, which is the radius of the half circles [m].
         fence_height: [m].
         corral: The pen, if there is one.
+        platform: Above water.
         gap: A wall with an opening, if there is one.
         walls: Other fences.
         columns: Round columns (x, y, radius) [m].
@@ -181,13 +205,14 @@ class WorldSettings:
         column_height: Of all columns [m].
     """
 
-    ground: Literal["oval", "plane", "mat", "road"] = "oval"
+    ground: Literal["oval", "plane", "mat", "water", "road"] = "oval"
     course: str = ""
     laps: Annotated[int, Within(at_least=0, at_most=1000)] = 0
     half_length: Annotated[float, Within("m", above=0, at_most=1e5)] = 45.0
     half_width: Annotated[float, Within("m", above=0, at_most=1e5)] = 28.0
     fence_height: Annotated[float, Within("m", above=0, at_most=100)] = 1.2
     corral: CorralSettings | None = None
+    platform: PlatformSettings | None = None
     gap: GapSettings | None = None
     walls: tuple[WallSettings, ...] = ()
     columns: Annotated[tuple[Circle, ...], Within("m", at_least=-1e5, at_most=1e5)] = ()
@@ -204,6 +229,10 @@ class WorldSettings:
                     raise SettingError(f"world.{key}", ": must be left out where the ground is a road")
         elif self.course:
             raise SettingError("world.course", f" = {shown(self.course)}: needs world.ground = 'road'")
+        if self.ground == "water" and self.platform is None:
+            object.__setattr__(self, "platform", PlatformSettings())
+        if self.platform is not None and self.ground != "water":
+            raise SettingError("world.platform", ": needs world.ground = 'water'")
         if self.ground == "oval" and self.half_length < self.half_width:
             raise SettingError(
                 "world.half_length", f" = {self.half_length:g}: must be at least half_width, {self.half_width:g} m"

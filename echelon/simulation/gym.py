@@ -8,11 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from echelon.agents.gymnast import ARMS_SPREAD, Gymnast
+from echelon.agents.gymnast_body import site_points, standing_q
+from echelon.agents.gymnast_channels import SIDES
+from echelon.agents.gymnast_posture import channels_of
 from echelon.recording import Actor
 from echelon.scenario import Scenario
 from echelon.simulation.casts import CastPart
@@ -20,6 +25,7 @@ from echelon.simulation.ground_below import ground_planes
 from echelon.simulation.roles import Roles, roles_of
 from echelon.simulation.scene import SceneFrames
 from echelon.terrain.flat import FlatTerrain
+from echelon.terrain.platform import PlatformTerrain
 from echelon.terrain.walls import world_dict
 from echelon.warp_kernels.character import Character, Population
 from echelon.warp_kernels.frame import Engine, Terrain
@@ -63,7 +69,12 @@ class Gym:
         self.scenario = scenario
         self.casts = tuple(casts)
         self.roles: Roles = roles_of(scenario, casts)
-        self.terrain: Terrain = FlatTerrain.of(scenario.world, device)
+        platform = scenario.world.platform
+        self.terrain: Terrain = (
+            FlatTerrain.of(scenario.world, device)
+            if platform is None
+            else PlatformTerrain.of(platform.height, platform.edge, platform.heading)
+        )
         heading = scenario.performance.heading if scenario.performance is not None else 0.0
         self.world: Mapping[str, Any] = world_dict(scenario.world) | {"heading": heading}
         self.actors: tuple[Actor, ...] = ()
@@ -81,7 +92,7 @@ class Gym:
         settings = self.scenario.performance
         assert settings is not None
         seed, count = self.scenario.population_seed, self.scenario.crowd.count
-        q, u = [], []
+        q, u, balls = [], [], []
         parameters: dict[str, list[np.ndarray]] = {}
         memory: dict[str, list[np.ndarray]] = {}
         turn = [0.0, 0.0, math.sin(0.5 * settings.heading), math.cos(0.5 * settings.heading)]
@@ -90,7 +101,10 @@ class Gym:
             people = cast.character.population(cast.first + cast.count, seed, settings.strength_variation, False)
             own = slice(cast.first, None)
             body = cast.character.body
+            if settings.lean != 0.0:
+                people = leaning(cast.character, people, settings.lean)
             self._starting_heights[cast.first : cast.first + cast.count] = body.center_of_mass(people.q[0])[2]
+            balls.append(np.full(cast.count, site_points(body, people.q[0])["left_ball_inner"][0]))
             rows = people.q[own].copy()
             rows[:, 3:7] = quaternion_product(turn, rows[0, 3:7].tolist())
             q.append(rows)
@@ -99,7 +113,6 @@ class Gym:
                 for name, values in given.items():
                     kept.setdefault(name, []).append(values[own])
         parameters["heading"] = [np.full(count, settings.heading)]
-        places = self._places()
         return (
             Population(
                 np.concatenate(q),
@@ -107,16 +120,27 @@ class Gym:
                 {name: np.concatenate(values) for name, values in parameters.items()},
                 {name: np.concatenate(values) for name, values in memory.items()},
             ),
-            places,
+            self._places(np.concatenate(balls), settings.heading),
         )
 
-    def _places(self) -> np.ndarray:
-        """Where everybody starts on the ground [m], shape [agents, 3]; casts are mixed among the places."""
+    def _places(self, balls: np.ndarray, heading: float) -> np.ndarray:
+        """Where everybody starts on the ground [m], shape [agents, 3]; casts are mixed among the places.
+
+        Args:
+            balls: How far ahead of the pelvis each one's balls of the feet are [m], shape [agents].
+            heading: Which way they face [rad].
+        """
         flat = self.scenario.start_positions()
         if len(self.casts) > 1 and not self.scenario.crowd.positions:
             bits = np.random.Philox(key=self.scenario.population_seed).random_raw(len(flat))
             flat = flat[np.argsort(bits, kind="stable")]
         places = np.column_stack([flat, np.zeros(len(flat))])
+        if self.scenario.world.platform is not None:
+            # Whoever stands at its edge stands on it, heels in the air or not: the balls of the feet are at the place.
+            forward = np.array([math.cos(heading), math.sin(heading)])
+            places[:, :2] -= balls[:, None] * forward
+            places[:, 2] = self.scenario.world.platform.height
+            return places
         planes = ground_planes(self.terrain, places, self._device)
         places[:, 2] = (planes[:, 3] - (planes[:, :2] * flat).sum(axis=1)) / planes[:, 2]
         return places
@@ -196,6 +220,15 @@ class Gym:
 
     def load_state(self, state: Mapping[str, np.ndarray]) -> None:
         """What there is of a state is the engines'."""
+
+
+def leaning(character: Character, people: Population, lean: float) -> Population:
+    """Gymnasts who stand with the centre of mass ahead of the middle of their feet by so much [m]."""
+    q = standing_q(character.body, arms=0.5 * math.pi - ARMS_SPREAD, lean=lean)
+    posture = channels_of(character.body, q) | {f"{side}_shoulder_spread": ARMS_SPREAD for side in SIDES}
+    count = len(people.q)
+    memory = Gymnast.remembering({channel: np.full(count, value) for channel, value in posture.items()})
+    return replace(people, q=np.tile(q, (count, 1)), memory={**people.memory, **memory})
 
 
 def _by_maneuver(performers: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:

@@ -22,6 +22,7 @@ import numpy as np
 import warp as wp
 
 from echelon.scenario import WorldSettings
+from echelon.settings import plain
 
 wp.set_module_options({"enable_backward": False})
 
@@ -111,7 +112,7 @@ def world_dict(world: WorldSettings) -> dict[str, Any]:
     elif world.ground == "mat":
         ground = {"shape": "mat", "half_length": world.half_length, "half_width": world.half_width}
     else:
-        ground = {"shape": "plane", "half_size": world.half_length}
+        ground = {"shape": world.ground, "half_size": world.half_length}
     data: dict[str, Any] = {
         "ground": ground,
         "walls": [
@@ -126,6 +127,8 @@ def world_dict(world: WorldSettings) -> dict[str, Any]:
             "opening": world.corral.opening,
             "facing": list(world.corral.facing),
         }
+    if world.platform is not None:
+        data["platform"] = plain(world.platform)
     columns = world.all_columns()
     if len(columns):
         data["columns"] = [

@@ -423,18 +423,49 @@ class JointForces:
     def none(cls, count: int) -> JointForces:
         return cls([0.0] * count, [0.0] * count)
 
-    def servo(self, speed: int, q: Any, u: Any, desired: Any, desired_rate: Any, kp: Any, kv: Any, step: Any) -> None:
+    def servo(
+        self,
+        speed: int,
+        q: Any,
+        u: Any,
+        desired: Any,
+        desired_rate: Any,
+        kp: Any,
+        kv: Any,
+        step: Any,
+        strength: tuple[Any, Any] | None = None,
+    ) -> None:
         """Add the servo tau = kp (desired - q) + kv (desired_rate - u) of a one-axis joint, implicitly.
 
-        Equation 6 of *Animating Human Athletics*. kp [N m/rad], kv [N m s/rad] (or N/m, N s/m).
+        Equation 6 of *Animating Human Athletics*. kp [N m/rad], kv [N m s/rad] (or N/m, N s/m). It is no stronger than
+        `strength`, its greatest torque towards smaller (not positive) and towards greater values.
         """
-        self.tau[speed] = self.tau[speed] + (kp * (desired - q - step * u) + kv * (desired_rate - u))
-        self.implicit[speed] = self.implicit[speed] + step * (kv + step * kp)
+        self._drive(speed, kp * (desired - q - step * u) + kv * (desired_rate - u), step * (kv + step * kp), strength)
+
+    def _drive(self, speed: int, tau: Any, implicit: Any, strength: tuple[Any, Any] | None) -> None:
+        """Add a torque and what it gives up for acceleration; one at the end of its strength gives up nothing."""
+        if strength is not None:
+            weakest, strongest = strength
+            beyond = (tau < weakest) | (strongest < tau)
+            tau, implicit = clamp(tau, weakest, strongest), select(beyond, 0.0, implicit)
+        self.tau[speed] = self.tau[speed] + tau
+        self.implicit[speed] = self.implicit[speed] + implicit
 
     def ball_servo(
-        self, speed: int, quaternion: Vector, omega: Vector, desired: Vector, kp: Any, kv: Any, step: Any
+        self,
+        speed: int,
+        quaternion: Vector,
+        omega: Vector,
+        desired: Vector,
+        kp: Any,
+        kv: Any,
+        step: Any,
+        strength: Sequence[tuple[Any, Any]] | None = None,
     ) -> None:
-        """The same for a ball joint, towards a desired orientation (x, y, z, w) at rest; turns the shorter way."""
+        """The same for a ball joint, towards a desired orientation (x, y, z, w) at rest; turns the shorter way.
+
+        `strength` is that of each of its three speeds.
+        """
         # Error quaternion from the present to the desired orientation, in the link's axes: conj(q) * desired.
         x, y, z, w = [-quaternion[0], -quaternion[1], -quaternion[2], quaternion[3]]
         dx, dy, dz, dw = desired
@@ -446,8 +477,8 @@ class JointForces:
         cosine = w * dw - x * dx - y * dy - z * dz
         sign = select(cosine < 0.0, -2.0, 2.0)
         for i in range(3):
-            self.tau[speed + i] = self.tau[speed + i] + (kp * (sign * error[i] - step * omega[i]) - kv * omega[i])
-            self.implicit[speed + i] = self.implicit[speed + i] + step * (kv + step * kp)
+            torque = kp * (sign * error[i] - step * omega[i]) - kv * omega[i]
+            self._drive(speed + i, torque, step * (kv + step * kp), None if strength is None else strength[i])
 
     def limits(self, model: Model, q: Sequence[Any], u: Sequence[Any], step: Any) -> None:
         """Add the springs and dampers that hold joints within their limits; they push back, never pull."""

@@ -103,7 +103,7 @@ def test_rest_and_bind_are_the_reference_pose_with_arms_out(recording: Recording
         hands = [cast.body.link_index(f"{side}_hand") for side in ("left", "right")]
         shoulders = [cast.body.link_index(f"{side}_upper_arm") for side in ("left", "right")]
         # A T: hands as high as shoulders, and far out.
-        np.testing.assert_allclose(bind[hands, 3, 2], bind[shoulders, 3, 2], atol=0.06)
+        np.testing.assert_allclose(bind[hands, 3, 2], bind[shoulders, 3, 2], atol=0.1)
         assert bind[hands[0], 3, 1] > 0.6
         assert bind[hands[1], 3, 1] < -0.6
 

@@ -25,8 +25,8 @@ STILL = 0.05  # who stands has a centre of mass slower than this [m/s]
 WHOLE_TURN = 0.3  # by which the turn may differ from a whole one [rad]
 DISTURBED, SEED = 128, 5
 """How many trials with other hip angles at liftoff and timings, and what they are drawn from."""
-FAILURE: Mapping[str, float] = {"feet_ahead": 0.3}
-"""What of the script is other for figure 8.7: the feet come down this much too far forward [m]."""
+FAILURE: Mapping[str, float] = {"fold": 0.9}
+"""What of the script is other for figure 8.7: hips that bend so much further swing the feet too far forward [rad]."""
 WATCHED = (
     "row", "row_age", "time", "fallen", "hands_unloaded", "somersault", "momentum_y", "vx", "vy", "vz", "com_x",
     "feet_x",

@@ -15,7 +15,7 @@ from pxr import Gf, Kind, Sdf, Usd, UsdGeom, UsdLux, UsdShade, Vt
 
 from echelon.export.actor_looks import actor_visuals
 from echelon.export.road_scene import RoadScene
-from echelon.export.shapes import columns_mesh, fence_mesh, ground_mesh, rectangle_mesh
+from echelon.export.shapes import columns_mesh, fence_mesh, ground_mesh, platform_mesh, rectangle_mesh
 from echelon.export.stage.camera import APERTURE, CameraMove
 from echelon.export.stage.meshes import define_mesh, mesh_names, surfaces_by_color, welded
 from echelon.export.stage.motion import continuous, prim_name, prim_names
@@ -26,9 +26,11 @@ from echelon.warp_kernels.model import Vec3
 
 TURF: Vec3 = (0.10, 0.19, 0.05)  # linear RGB
 MEADOW: Vec3 = (0.16, 0.20, 0.08)
+WATER: Vec3 = (0.03, 0.20, 0.28)
 MAT: Vec3 = (0.055, 0.16, 0.34)
 TIMBER: Vec3 = (0.28, 0.17, 0.09)
 STONE: Vec3 = (0.42, 0.40, 0.37)
+PLATFORM = "Platform"  # name of the prim of one above water
 MEADOW_DEPTH = 0.02  # [m] below the turf, so that the two never share a plane
 MEADOW_REACH = 60.0  # [m] beyond the ground on every side
 
@@ -147,8 +149,13 @@ def define_world(
     turf = ground_mesh(world["ground"])
     if "heading" in world:
         stage.GetPrimAtPath(paths.world).SetCustomDataByKey("heading", float(world["heading"]))
-    on_mat = world["ground"].get("shape") == "mat"
-    name, color = ("mat", MAT) if on_mat else ("turf", TURF)
+    name, color = {"mat": ("mat", MAT), "water": ("water", WATER)}.get(world["ground"].get("shape"), ("turf", TURF))
+    if "platform" in world:
+        platform = _define_component(stage, paths.world.AppendChild(PLATFORM), painted)
+        define_mesh(
+            stage, str(platform.GetPath().AppendChild("concrete")), welded([platform_mesh(world["platform"])]), STONE
+        )
+        platform.GetPrim().SetCustomDataByKey("platform", json.dumps(world["platform"]))
     define_mesh(stage, str(ground.GetPath().AppendChild(name)), welded([turf]), color)
     reach = turf.extent[1] + MEADOW_REACH
     meadow = define_mesh(

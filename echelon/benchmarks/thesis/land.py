@@ -1,0 +1,230 @@
+"""Chapter 6: from how high, and how fast, gymnasts land and find their balance.
+
+Every trial is a gymnast of its own, all trials of an experiment and a body one batch. They begin in the air, in the
+posture with which the script of the landing reaches for the ground, at a height and with a speed of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from echelon.agents.gymnast import Gymnast, gymnast
+from echelon.agents.gymnast_body import FOOT_SITES, TOE_SITES, site_points
+from echelon.agents.gymnast_channels import CHANNELS
+from echelon.agents.gymnast_posture import positions_of
+from echelon.agents.script import Script
+from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
+from echelon.benchmarks.thesis.leap import SEXES, arrivals, gymnast_of, script_of, stands
+from echelon.benchmarks.thesis.published import published_rows
+from echelon.benchmarks.thesis.rows import Measured, Published
+from echelon.simulation.performance import Performance
+from echelon.warp_kernels.character import Population
+
+SECONDS = 4.5  # from the start of a fall to long after the landing [s]
+FINE_FRAME_RATE = 300  # where forces are followed [1/s]
+WINDOW = 3  # frames over which a force is averaged: 10 ms, about what filtered force plates resolve
+FALL_STEP, LOWEST_FALL, HIGHEST_FALL = 0.05, 0.1, 2.5  # [m]
+LAW_FALLS = (0.2, 1.3)
+"""Between these falls the growth of the peak force with the height is fitted [m]."""
+HEIGHT_WITH_SPEED = 1.25  # of the centre of mass, where landings with speed begin [m]
+WATCHED = (
+    "row", "row_age", "time", "fallen", "vx", "vy", "vz", "upright", "unloaded", "feet_x", "com_x",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Landings:
+    """What became of landings, an entry for each.
+
+    Attributes:
+        balanced: Whether one stands still on both feet from 2.5 s after touchdown on.
+        peak: Greatest vertical force of the ground, mean of 10 ms [N]. A foot that stops within a millisecond
+            makes a shorter spike, whose height depends on where in a control tick it falls.
+        feet_ahead: Feet ahead of the centre of mass at touchdown [m].
+        speed_at_balance: Of the centre of mass, forward, where balance takes over [m/s]; NaN where it never did.
+        seen: What was watched after each frame, by name, shape [frames, agents].
+    """
+
+    balanced: np.ndarray
+    peak: np.ndarray
+    feet_ahead: np.ndarray
+    speed_at_balance: np.ndarray
+    seen: Mapping[str, np.ndarray]
+
+
+def in_the_air(
+    character: Gymnast, table: np.ndarray, speeds: np.ndarray, *, falls: np.ndarray | None = None, height: float = 0.0
+) -> Population:
+    """Gymnasts in the posture of a table's first row, above the ground.
+
+    Args:
+        character: Who.
+        table: Of a script, shape [rows, row size].
+        speeds: Forward [m/s], shape [agents].
+        falls: How high their soles are [m], shape [agents]; None where the centre of mass counts.
+        height: Of the centre of mass [m], where `falls` is None.
+    """
+    body = character.body
+    targets = np.nan_to_num(table[0, : len(CHANNELS)].astype(np.float64))
+    channels = dict(zip(CHANNELS, targets.tolist(), strict=True))
+    q = np.tile(positions_of(body, channels), (len(speeds), 1))
+    soles = _lowest_sole(character, q[0])
+    q[:, 2] += height - body.center_of_mass(q[0])[2] if falls is None else falls - soles
+    u = np.zeros((len(speeds), body.u_count))
+    u[:, 0] = speeds
+    memory = character.remembering({name: np.full(len(speeds), value) for name, value in channels.items()})
+    return Population(q=q, u=u, parameters={}, memory=memory)
+
+
+def _lowest_sole(character: Gymnast, q: np.ndarray) -> float:
+    names = {name for sites in (FOOT_SITES, TOE_SITES) for of_side in sites.values() for name in of_side}
+    return min(float(point[2]) for name, point in site_points(character.body, q).items() if name in names)
+
+
+def land(
+    character: Gymnast,
+    script: Script,
+    values: Sequence[Mapping[str, float]],
+    settings: FidelitySettings,
+    *,
+    speeds: np.ndarray,
+    falls: np.ndarray | None = None,
+    height: float = HEIGHT_WITH_SPEED,
+) -> Landings:
+    """Landings by one body.
+
+    Args:
+        character: Who.
+        script: With rows called reach, absorb and rise.
+        values: Parameters that differ from the script's, for each.
+        settings: How to run them.
+        speeds: Forward, for each [m/s].
+        falls: How high the soles begin, for each [m]; None where the centre of mass begins at `height`.
+        height: Of the centre of mass, where `falls` is None [m].
+    """
+    tables = [script.table(character.body, one) for one in values]
+    steps = settings.steps_per_second or character.steps_per_second
+    run = Performance(
+        character,
+        tables,
+        people=in_the_air(character, tables[0], speeds, falls=falls, height=height),
+        frame_rate=FINE_FRAME_RATE,
+        substeps=round(steps / FINE_FRAME_RATE),
+        tick=character.steps_per_tick * max(round(steps / character.steps_per_second), 1),
+        threads=settings.threads or 0,
+    )
+    seen = run.run(SECONDS, WATCHED)
+    run.close()
+    gained = (seen["vz"][WINDOW:] - seen["vz"][:-WINDOW]) * (FINE_FRAME_RATE / WINDOW)
+    peak = character.body.mass * (gained.max(axis=0) + character.body.gravity)
+    touchdown, balance = (arrivals(script, seen, row) for row in ("absorb", "rise"))
+    agents = np.arange(len(values))
+    landed = np.argmax(seen["row"] >= script.row_names.index("absorb"), axis=0)
+    rising = np.argmax(seen["row"] >= script.row_names.index("rise"), axis=0)
+    return Landings(
+        balanced=np.isfinite(touchdown) & stands(seen, touchdown),
+        peak=peak,
+        feet_ahead=seen["feet_x"][landed, agents],
+        speed_at_balance=np.where(np.isfinite(balance), seen["vx"][rising, agents], np.nan),
+        seen=seen,
+    )
+
+
+def falls_onto_feet(character: Gymnast, script: Script, falls: np.ndarray, settings: FidelitySettings) -> Landings:
+    """Landings without horizontal speed, from heights of the soles [m]."""
+    still = np.zeros(len(falls))
+    return land(character, script, [{"speed": 0.0}] * len(falls), settings, speeds=still, falls=falls)
+
+
+def growth(falls: np.ndarray, peaks: np.ndarray) -> float:
+    """Exponent of the power of the height with which peaks grow, by least squares of the logarithms."""
+    return float(np.polyfit(np.log(falls), np.log(peaks), 1)[0])
+
+
+# ---- what was published ----------------------------------------------------------------------------------------------
+def land_drop(settings: FidelitySettings) -> list[Measured]:
+    """Section 6.2: the greatest fall, and how the peak force grows with it."""
+    found: list[Measured] = []
+    falls = np.round(np.append(np.arange(LOWEST_FALL, HIGHEST_FALL + 0.5 * FALL_STEP, FALL_STEP), 0.45), 3)
+    falls = np.unique(falls)
+    for sex in SEXES:
+        character = gymnast_of(sex)
+        landings = falls_onto_feet(character, script_of("drop-landing", sex), falls, settings)
+        weight = character.body.mass * character.body.gravity
+        failed = np.flatnonzero(~landings.balanced)
+        greatest = falls[failed[0] - 1] if len(failed) and failed[0] else 0.0 if len(failed) else falls[-1]
+        fitted = (falls >= LAW_FALLS[0]) & (falls <= LAW_FALLS[1])
+        for row in published_rows("land-drop"):
+            if row.body != sex:
+                continue
+            if row.quantity == "greatest fall":
+                note = "" if len(failed) else "the highest that was tried"
+                found.append(Measured(row, float(greatest), note=note))
+            elif row.quantity == "peak force":
+                at = int(np.argmin(np.abs(falls - row.number("fall [m]"))))
+                found.append(Measured(row, float(landings.peak[at] / weight)))
+            else:
+                found.append(Measured(row, growth(falls[fitted], landings.peak[fitted])))
+    return found
+
+
+def land_speed(settings: FidelitySettings) -> list[Measured]:
+    """Table 6.1: landings with horizontal speed."""
+    found: list[Measured] = []
+    for sex in SEXES:
+        rows = [row for row in published_rows("land-speed") if row.body == sex]
+        found += _with_speed(gymnast_of(sex), sex, rows, settings)
+    return found
+
+
+def land_backpack(settings: FidelitySettings) -> list[Measured]:
+    """Table 6.2: the same with a backpack."""
+    found: list[Measured] = []
+    rows = published_rows("land-backpack")
+    for mass in sorted({row.number("backpack [kg]") for row in rows}):
+        carried = [row for row in rows if row.number("backpack [kg]") == mass]
+        found += _with_speed(gymnast("female", backpack=mass), "female", carried, settings)
+    return found
+
+
+def _with_speed(character: Gymnast, sex: str, rows: Sequence[Published], settings: FidelitySettings) -> list[Measured]:
+    script = script_of("drop-landing", sex)
+    speeds = sorted({row.number("speed [m/s]") for row in rows})
+    landings = land(character, script, [{"speed": v} for v in speeds], settings, speeds=np.array(speeds))
+    found: list[Measured] = []
+    for row in rows:
+        place = speeds.index(row.number("speed [m/s]"))
+        if row.quantity == "ends balanced":
+            found.append(Measured(row, float(landings.balanced[place])))
+        else:
+            note = "ours: feet ahead of the centre of mass at touchdown; the thesis's zero is not told"
+            found.append(Measured(row, float(landings.feet_ahead[place]), note=note))
+    return found
+
+
+def land_traces(settings: FidelitySettings) -> list[Measured]:
+    """Figure 6.3: how the speed is lost."""
+    found: list[Measured] = []
+    for sex in SEXES:
+        rows = [row for row in published_rows("land-traces") if row.body == sex]
+        speed = rows[0].number("speed [m/s]")
+        script = script_of("drop-landing", sex)
+        landings = land(gymnast_of(sex), script, [{"speed": speed}], settings, speeds=np.array([speed]))
+        for row in rows:
+            value = landings.feet_ahead[0] if row.unit == "m" else landings.speed_at_balance[0]
+            found.append(
+                Measured(row, float(value)) if np.isfinite(value) else Measured(row, None, note="it never balanced")
+            )
+    return found
+
+
+MEASURES: Mapping[str, Measure] = {
+    "land-drop": land_drop,
+    "land-speed": land_speed,
+    "land-backpack": land_backpack,
+    "land-traces": land_traces,
+}
+"""Measuring functions by experiment."""
