@@ -31,7 +31,7 @@ from echelon.recording import Cast, Recording, RecordingFailed, RecordingWriter
 from echelon.scenario import Scenario
 from echelon.simulation.cost import PHASES, RunCost
 
-COMMANDS = ("simulate", "resume", "sweep", "export", "render", "plot", "bench", "list", "describe")
+COMMANDS = ("simulate", "resume", "sweep", "tune", "export", "render", "plot", "bench", "list", "describe")
 REPORTED = {
     "scenario", "agents", "seed", "frames", "seconds", "falls", "collisions", "nonfinite", "in_corral", "wall_seconds",
     "real_time_factor", "state_hash", "recording", "stage", "threads", "ranks", "peak_memory_mb", "phase_seconds",

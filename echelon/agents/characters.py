@@ -12,9 +12,6 @@ from echelon.agents.point_mass import PointMass
 from echelon.errors import InputError
 from echelon.warp_kernels.character import Character
 
-DIVERS_LEAN = 0.056
-"""Of a diver whose heels hang over the edge of the platform, from the middle of the feet [m]: between ball and tip."""
-
 CHARACTERS: Mapping[str, Callable[[], Character]] = {
     "hopper": Hopper,
     "cyclist": Cyclist,
@@ -22,8 +19,6 @@ CHARACTERS: Mapping[str, Callable[[], Character]] = {
     "point-mass": PointMass,
     "gymnast-male": partial(gymnast, "male"),
     "gymnast-female": partial(gymnast, "female"),
-    "diver-male": partial(gymnast, "male", lean=DIVERS_LEAN, name="diver-male"),
-    "diver-female": partial(gymnast, "female", lean=DIVERS_LEAN, name="diver-female"),
 }
 
 

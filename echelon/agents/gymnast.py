@@ -157,7 +157,6 @@ class Gymnast:
         body: Who; see `gymnast_body`.
         name: What scenarios call it.
         gain: Of all servos against the male's.
-        lean: Where the centre of mass is of one who begins, ahead of the middle of the feet [m].
         strongest: Greatest torques of the joints, which the parameter `strength` multiplies as well, as
             `gymnast_joints.joint_strength` has them [N m], shape [u_count, 2]; None for any.
     """
@@ -180,14 +179,12 @@ class Gymnast:
         body: Body,
         name: str = "gymnast",
         gain: float = 1.0,
-        lean: float = 0.0,
         strongest: np.ndarray | None = None,
     ) -> None:
         self.name = name
         self.body = body
         self.gain = gain
         self.strongest = strongest
-        self.lean = lean
         self._links = {link.name: index for index, link in enumerate(body.links)}
         self._joints = {link.joint.name: index for index, link in enumerate(body.links)}
         self.memory: Mapping[str, float] = self._memory()
@@ -235,7 +232,7 @@ class Gymnast:
     @cached_property
     def _at_ease(self) -> np.ndarray:
         """Generalised positions of one who stands with the arms hanging, shape [q_count]."""
-        return standing_q(self.body, arms=0.5 * math.pi - ARMS_SPREAD, lean=self.lean)
+        return standing_q(self.body, arms=0.5 * math.pi - ARMS_SPREAD)
 
     @staticmethod
     def remembering(channels: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -526,7 +523,6 @@ def gymnast(
     backpack: float = 0.0,
     height: float | None = None,
     mass: float | None = None,
-    lean: float = 0.0,
     name: str = "",
     strength_limits: bool = False,
     joint_limits: bool = False,
@@ -537,7 +533,6 @@ def gymnast(
         sex: Whose proportions.
         backpack: What is carried [kg]; servos stay those of the body without it.
         height, mass: Of the body [m], [kg]; None for the thesis's.
-        lean: How far ahead of the middle of the feet the weight is at the start [m]: on their balls, for a diver.
         name: What scenarios call it; made of the sex if empty.
         strength_limits: Whether joints are no stronger than a trained human's (see `gymnast_joints`).
         joint_limits: Whether joints have soft stops where a human's end.
@@ -548,7 +543,7 @@ def gymnast(
     if backpack > 0.0 or joint_limits:
         body = gymnast_body(sex, height=height, mass=mass, backpack=backpack, limits=joint_limits)
     strongest = joint_strength(body, sex, tallness, bare.mass) if strength_limits else None
-    return Gymnast(body, name or f"gymnast-{sex}", bare.mass * tallness**2 / GAIN_BODY, lean, strongest)
+    return Gymnast(body, name or f"gymnast-{sex}", bare.mass * tallness**2 / GAIN_BODY, strongest)
 
 
 def _cosine_and_sine(angle: Any) -> tuple[Any, Any]:

@@ -57,11 +57,22 @@ def announce(reporter: Reporter, plan: Scenario, folder: Path) -> None:
         raise Failure(f"{folder}: the recording needs about {size(disk)}, but only {size(free)} are free there")
     if replaces:
         reporter.say(f"replacing the recording {folder}")
+    if plan.performs:
+        from echelon.simulation.fitting import misfits
+
+        for line in misfits(plan):
+            reporter.say(f"echelon: {line}")
     most = "at most " if plan.until else ""
     reporter.say(
-        f"{plan.name}: {count} {plan.crowd.character}s, {most}{plan.seconds:g} s at {plan.frame_rate} frames a second; "
+        f"{plan.name}: {count} {_crowd_words(plan)}, {most}{plan.seconds:g} s at {plan.frame_rate} frames a second; "
         f"takes {most}about {duration(_expected_seconds(plan))} and {size(disk)} of disk"
     )
+
+
+def _crowd_words(plan: Scenario) -> str:
+    """What a scenario's characters are called together."""
+    casts = plan.performance.casts if plan.performance is not None else ()
+    return f"gymnasts in {len(casts)} casts" if len(casts) > 1 else f"{plan.crowd.character}s"
 
 
 def _expected_seconds(plan: Scenario) -> float:

@@ -138,7 +138,8 @@ class Search:
                     current = self._best_of_stage(values) or current
                     break
                 values = current.values
-                if not enough:
+                # Whether the last stage has led anywhere is for the proof to say.
+                if not enough and number < len(self.objective.stage) - 1:
                     break
                 passed += 1
             if current is None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from echelon.agents.characters import character_named
+from echelon.agents.gymnast import Gymnast
 from echelon.agents.script import Script, load_script
 from echelon.simulation.performance import Performance
 
@@ -26,6 +27,7 @@ def performed(request: pytest.FixtureRequest) -> tuple[float, Script, Mapping[st
     """Its sense, the script, and what was seen of the usual one (first) and of disturbed ones."""
     script = load_script(request.param)
     character = character_named(f"gymnast-{script.body}")
+    assert isinstance(character, Gymnast)
     values = [{}, *script.varied(DISTURBED, 3)]
     performance = Performance(character, [script.table(character.body, one) for one in values])
     seen = performance.run(SECONDS, WATCHED)

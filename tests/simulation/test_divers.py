@@ -56,7 +56,7 @@ def test_a_diver_stands_on_the_edge_with_heels_in_the_air() -> None:
 def test_a_diver_who_only_stands_does_not_fall_off(recording: Recording) -> None:
     assert recording.summary["falls"] == 0
     height = recording.measures[:, 0, recording.measure_names.index("com_height")]
-    assert np.ptp(height) < 0.05
+    assert np.ptp(height[1:]) < 0.05  # nothing is measured before the first tick
     assert recording.link_poses[-1, 0, 0, 2] == pytest.approx(7.5 + 0.98, abs=0.06)
 
 

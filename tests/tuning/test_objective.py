@@ -83,6 +83,14 @@ def test_shapes() -> None:
     assert steep[-1] < 10.0
 
 
+def test_what_varies_costs() -> None:
+    # Three copies of one candidate, of heights 0.5, 0 and one that is nowhere; then each a candidate of its own.
+    term = Term("height", target=0.25, spread=0.5, limit=1e12, missing=7.0, weight=2.0)
+    shape = 2.0 * 0.25**2
+    assert costs([term], watched(), 3)[0] == pytest.approx([shape + 0.5, shape + 0.5, 14.5])
+    assert costs([term], watched(), 1)[0] == pytest.approx([shape, shape, 14.0])
+
+
 def test_sums_and_successes() -> None:
     terms = [Term("height", at="arrival", row="b", target=4.0, missing=50.0), Term("mass")]
     assert costs(terms, watched())[0] == pytest.approx([0.0, 50.0, 1.0 / 1.01])

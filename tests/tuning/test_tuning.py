@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from echelon.cli.commands import run
 from echelon.errors import InputError
 from echelon.tuning import TuningProgress, TuningResult, tune
 from echelon.tuning.folder import STATE, Batch, TuningFolder
+from echelon.tuning.tuning import _character
 from tests.tuning.toy import OBJECTIVE, SCRIPT
 
 
@@ -127,14 +127,21 @@ def test_a_stage_that_leads_nowhere_begins_anew(script_file: Path, objective_fil
     assert len(set(firsts)) == len(firsts)
 
 
-def test_other_bodies_have_other_values(script_file: Path, objective_file: Path) -> None:
-    small = fit(script_file, objective_file, "small.toml", height=1.70, mass=65.0, minutes=0.02)
-    tuned = tomllib.loads(small.path.read_text())["tuned"]
-    assert tuned["for"] == "male, 1.7 m, 65 kg"
-    # One that was tuned for somebody else says so.
-    note = fit(small.path, objective_file, "note.toml", from_nothing=False, minutes=1e-9).note
-    assert note.startswith(f"{small.path}: was tuned for another body {tuned['body']}")
+def test_a_script_that_was_tuned_for_somebody_else_says_so(
+    whole: TuningResult, script_file: Path, objective_file: Path
+) -> None:
+    text = whole.path.read_text()
+    script_file.write_text(text.replace(whole.script.tuned["body"], "somebody"))
+    note = fit(script_file, objective_file, "out.toml", from_nothing=False, minutes=1e-9).note
+    assert note.startswith(f"{script_file}: was tuned for another body somebody, not {whole.script.tuned['body']}")
     assert "\n" not in note
+
+
+def test_bodies_are_said_in_words() -> None:
+    assert _character("female", None, None)[1] == "female"
+    small, words = _character("male", 1.7, 65.0)
+    assert words == "male, 1.7 m, 65 kg"
+    assert small.body.mass == pytest.approx(65.0)
 
 
 # ---- the folder ------------------------------------------------------------------------------------------------------

@@ -26,10 +26,11 @@ from echelon.warp_kernels.character import Population
 SECONDS = 4.5  # from the start of a fall to long after the landing [s]
 FINE_FRAME_RATE = 300  # where forces are followed [1/s]
 WINDOW = 3  # frames over which a force is averaged: 10 ms, about what filtered force plates resolve
-FALL_STEP, LOWEST_FALL, HIGHEST_FALL = 0.05, 0.1, 2.5  # [m]
+FALL_STEP, LOWEST_FALL, HIGHEST_FALL = 0.05, 0.2, 2.5  # [m]
 LAW_FALLS = (0.2, 1.3)
 """Between these falls the growth of the peak force with the height is fitted [m]."""
 HEIGHT_WITH_SPEED = 1.25  # of the centre of mass, where landings with speed begin [m]
+SLOW = 0.1  # a centre of mass that is slower may be balanced wherever it is [m/s]
 WATCHED = (
     "row", "row_age", "time", "fallen", "vx", "vy", "vz", "upright", "unloaded", "feet_x", "com_x",
 )  # fmt: skip
@@ -44,7 +45,8 @@ class Landings:
         peak: Greatest vertical force of the ground, mean of 10 ms [N]. A foot that stops within a millisecond
             makes a shorter spike, whose height depends on where in a control tick it falls.
         feet_ahead: Feet ahead of the centre of mass at touchdown [m].
-        speed_at_balance: Of the centre of mass, forward, where balance takes over [m/s]; NaN where it never did.
+        speed_at_balance: Of the centre of mass, forward, when it is over the feet or slow, which is where the thesis
+            lets balance take over [m/s]; NaN where it never was.
         seen: What was watched after each frame, by name, shape [frames, agents].
     """
 
@@ -120,15 +122,16 @@ def land(
     run.close()
     gained = (seen["vz"][WINDOW:] - seen["vz"][:-WINDOW]) * (FINE_FRAME_RATE / WINDOW)
     peak = character.body.mass * (gained.max(axis=0) + character.body.gravity)
-    touchdown, balance = (arrivals(script, seen, row) for row in ("absorb", "rise"))
+    touchdown = arrivals(script, seen, "absorb")
     agents = np.arange(len(values))
     landed = np.argmax(seen["row"] >= script.row_names.index("absorb"), axis=0)
-    rising = np.argmax(seen["row"] >= script.row_names.index("rise"), axis=0)
+    down = (seen["row"] >= script.row_names.index("rise")) & (seen["fallen"] < 0.5)
+    over = down & ((seen["com_x"] * np.sign(speeds) >= 0.0) | (np.abs(seen["vx"]) < SLOW))
     return Landings(
         balanced=np.isfinite(touchdown) & stands(seen, touchdown),
         peak=peak,
         feet_ahead=seen["feet_x"][landed, agents],
-        speed_at_balance=np.where(np.isfinite(balance), seen["vx"][rising, agents], np.nan),
+        speed_at_balance=np.where(over.any(axis=0), seen["vx"][np.argmax(over, axis=0), agents], np.nan),
         seen=seen,
     )
 

@@ -127,7 +127,7 @@ def leap(
     pushing, landing = seen["row"] == row["push"], seen["row"] >= row["absorb"]
     # One who turns too much to rise never comes to the script's flight, and leaves the ground nevertheless.
     off = (seen["row"] >= row["push"]) & (seen["unloaded"] > IN_THE_AIR) & (seen["fallen"] < 0.5)
-    left, airborne = off.any(axis=0), np.argmax(off, axis=0)
+    left, airborne = np.asarray(off.any(axis=0)), np.argmax(off, axis=0)
     there = (airborne, np.arange(len(values)))
     momentum = np.where(left, seen["momentum_y"][there], np.nan)
     inertia = np.array([turning_inertia(character, q) for q in seen["q"][there]])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from echelon.benchmarks.thesis import handspring, somersaults
+from echelon.benchmarks.thesis import dives, handspring, somersaults
 from echelon.benchmarks.thesis.experiments import Measure
 
-MEASURES: Mapping[str, Measure] = {**somersaults.MEASURES, **handspring.MEASURES}
+MEASURES: Mapping[str, Measure] = {**somersaults.MEASURES, **handspring.MEASURES, **dives.MEASURES}
 """Measuring functions by experiment."""

@@ -81,9 +81,7 @@ def perform(
     seen = performance.run(SECONDS, WATCHED)
     highest, hardest = performance.now("highest"), performance.now("hardest")
     performance.close()
-    liftoff, opening, touchdown, standing = (
-        arrivals(script, seen, row) for row in ("tuck", "open", "absorb", "rise")
-    )
+    liftoff, opening, touchdown, standing = (arrivals(script, seen, row) for row in ("tuck", "open", "absorb", "rise"))
     flight = (seen["time"] > liftoff) & ~(seen["time"] > touchdown)
     middle = np.argmax(seen["time"] > 0.5 * (liftoff + touchdown), axis=0)
     return Somersaults(
@@ -122,7 +120,9 @@ def ends_balanced(seen: Mapping[str, np.ndarray], touchdown: np.ndarray) -> np.n
 def measure_back(settings: FidelitySettings) -> list[Measured]:
     """Figure 8.8: the male's standing back somersault."""
     script = load_script("standing-back-somersault")
-    found = perform(character_named("gymnast-male"), script, _usual_and_disturbed(script, {}), settings)
+    character = character_named("gymnast-male")
+    assert isinstance(character, Gymnast)
+    found = perform(character, script, _usual_and_disturbed(script, {}), settings)
     return [_tried(row, found) for row in published_rows("back-somersault")]
 
 
@@ -130,7 +130,9 @@ def measure_forward(settings: FidelitySettings) -> list[Measured]:
     """Figures 8.9 and 8.10: the female's standing forward somersault, also with a backpack."""
     script = load_script("standing-forward-somersault")
     rows = published_rows("forward-somersault")
-    without = perform(character_named("gymnast-female"), script, _usual_and_disturbed(script, {}), settings)
+    character = character_named("gymnast-female")
+    assert isinstance(character, Gymnast)
+    without = perform(character, script, _usual_and_disturbed(script, {}), settings)
     found: dict[tuple[float, bool], Somersaults] = {(0.0, True): without}
     for mass in sorted({row.number("backpack [kg]") for row in rows} - {0.0}):
         carrying = gymnast("female", backpack=mass)
@@ -154,20 +156,36 @@ def _tried(row: Published, found: Somersaults) -> Measured:
 
 def _carried(row: Published, found: Somersaults, without: Somersaults) -> Measured:
     """A row about a somersault with a backpack; differences are from that without."""
-    later = {
-        "later opening": found.opening - found.liftoff - (without.opening - without.liftoff)[: len(found.opening)],
-        "difference of touchdown": abs(found.touchdown - found.liftoff - (without.touchdown - without.liftoff)),
-        "later balance": found.standing - found.liftoff - (without.standing - without.liftoff),
-        "higher centre of mass": found.highest - without.highest,
-        "higher peak rate": found.peak_rate - without.peak_rate,
-    } if len(found.opening) == len(without.opening) else {}
-    if row.quantity not in later:
+    differences = _differences(found, without)
+    if row.quantity not in differences:
         return _tried(row, found)
-    return Measured(row, float(later[row.quantity][0]), note=NOTES.get(row.quantity, ""))
+    difference = differences[row.quantity]
+    if math.isnan(difference):
+        return Measured(row, None, note="never got so far")
+    return Measured(row, difference, note=NOTES.get(row.quantity, ""))
+
+
+def _differences(found: Somersaults, without: Somersaults) -> dict[str, float]:
+    """By quantity, what is different in the usual one; moments are counted from liftoff."""
+
+    def after_liftoff(one: Somersaults, moment: np.ndarray) -> float:
+        return float(moment[0] - one.liftoff[0])
+
+    return {
+        "later opening": after_liftoff(found, found.opening) - after_liftoff(without, without.opening),
+        "difference of touchdown": abs(
+            after_liftoff(found, found.touchdown) - after_liftoff(without, without.touchdown)
+        ),
+        "later balance": after_liftoff(found, found.standing) - after_liftoff(without, without.standing),
+        "higher centre of mass": float(found.highest[0] - without.highest[0]),
+        "higher peak rate": float(found.peak_rate[0] - without.peak_rate[0]),
+    }
 
 
 NOTES: Mapping[str, str] = {
-    "later opening": "times are counted from liftoff; ours opens by the somersault that is ahead",
+    "later opening": "counted from liftoff; ours opens by the somersault ahead, not by the clock",
+    "difference of touchdown": "counted from liftoff",
+    "later balance": "from liftoff to standing up",
 }
 
 MEASURES: Mapping[str, Measure] = {"back-somersault": measure_back, "forward-somersault": measure_forward}
