@@ -20,6 +20,7 @@ from echelon.agents.script import maneuver_names, parse_script
 from echelon.cli.commands import app
 from echelon.scenario import Scenario
 from echelon.scenario.files import scenario_names
+from echelon.tuning.objective import parse_objective
 from echelon.warp_kernels.model import Model
 
 ROOT = Path(__file__).parents[1]
@@ -179,6 +180,10 @@ def test_toml_is_a_scenario_or_a_body(page: Path) -> None:
             Model.from_dict(data)
         elif "row" in data:
             parse_script(text, page.name)
+        elif "stage" in data:
+            parse_objective(text, page.name)
+        elif set(data) == {"tuned"}:
+            assert set(data["tuned"]) >= {"for", "body", "contact", "step"}  # what the tuner adds to a script
         else:
             Scenario.from_dict({"name": "my-scene"} | data)
 

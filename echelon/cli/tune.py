@@ -168,15 +168,21 @@ def _bar(title: str) -> Iterator[Tell]:
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),
-        BarColumn(bar_width=16),
+        BarColumn(bar_width=10),
         TextColumn("{task.fields[status]}"),
     )
     with Progress(*columns, console=Console(stderr=True), refresh_per_second=5, transient=True) as bar:
         task = bar.add_task(title, total=None, status="starting (the first run of a body compiles for a while)")
 
         def tell(progress: TuningProgress) -> None:
+            # A terminal may have 80 columns.
             bar.update(
-                task, completed=progress.generation, total=progress.generations, status=status(progress), refresh=True
+                task,
+                description=f"{progress.stage}/{progress.stages} {progress.stage_name}",
+                completed=progress.generation,
+                total=progress.generations,
+                status=f"{progress.generation}/{progress.generations}, best {progress.best:.3g}, "
+                f"{progress.success:.0%}, {duration(progress.seconds_left)} left",
             )
 
         yield tell

@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from echelon.agents.gymnast import Gymnast
 from echelon.ranks import Ranks
 from echelon.recording import EVENT_DTYPE, EVENT_NAMES, Cast, Recording, RecordingWriter
 from echelon.scenario import Scenario
@@ -430,7 +431,10 @@ def _run(simulation: Simulation, writer: RecordingWriter, progress: Progress | N
 
 def _recorded_casts(simulation: Simulation) -> list[Cast]:
     """The casts as the recording has them, each individual in a colour of its own."""
-    tones = colors(simulation.scenario.crowd.count)
+    tones = colors(
+        simulation.scenario.crowd.count,
+        beside_skin=any(isinstance(cast.character, Gymnast) for cast in simulation.casts),
+    )
     return [
         Cast(cast.name, cast.character.body, cast.first, cast.count, tones[cast.first : cast.agents.stop])
         for cast in simulation.casts
@@ -496,9 +500,17 @@ def _where(chosen: np.ndarray) -> tuple[np.ndarray, ...]:
     return np.unravel_index(np.flatnonzero(chosen), chosen.shape)
 
 
-def colors(count: int) -> np.ndarray:
-    """A colour for each individual that its neighbours in the list do not have: linear RGB, shape [count, 3]."""
+def colors(count: int, beside_skin: bool = False) -> np.ndarray:
+    """A colour for each individual that its neighbours in the list do not have: linear RGB, shape [count, 3].
+
+    Args:
+        count: How many.
+        beside_skin: Whether it is worn by people whose skin shows: none is then taken for skin.
+    """
     # Hues a golden section apart fill the circle evenly however many there are.
     hues = (np.arange(count) * GOLDEN_RATIO + 0.03) % 1.0
     values = 0.95 - 0.12 * (np.arange(count) % 3)
+    if beside_skin:
+        # From crimson over blue to green, and deeper.
+        return np.array([colorsys.hsv_to_rgb(0.98 - 0.68 * h, 0.9, 0.6 * v) for h, v in zip(hues, values, strict=True)])
     return np.array([colorsys.hsv_to_rgb(h, 0.72, v) for h, v in zip(hues, values, strict=True)])

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from echelon.agents.characters import character_named
-from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnast import Gymnast, gymnast
+from echelon.agents.gymnast_body import HAND_SITES, site_points
+from echelon.agents.gymnast_joints import speed_index
+from echelon.agents.gymnast_posture import positions_of
 from echelon.agents.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.handspring import FAILURE, Handsprings, perform
 from echelon.simulation.performance import Performance
+from echelon.warp_kernels.contact import JointForces
 
 DISTURBED = 38
 
@@ -59,3 +63,37 @@ def test_goes_through_all_its_rows(character: Gymnast, script: Script) -> None:
     rows = performance.run(6.0, ["row"])["row"][:, 0]
     performance.close()
     assert [script.row_names[int(row)] for row in dict.fromkeys(rows)] == list(script.row_names)
+
+
+def test_arms_that_turn_stay_mirror_images(character: Gymnast) -> None:
+    arms = {
+        "shoulder": 3.0,
+        "shoulder_spread": 0.1,
+        "shoulder_turn": 1.2,
+        "elbow": 0.3,
+        "forearm_turn": 0.4,
+        "wrist": 1.4,
+    }
+    channels = {f"{side}_{name}": value for side in ("left", "right") for name, value in arms.items()}
+    points = site_points(character.body, positions_of(character.body, channels))
+    for left, right in zip(HAND_SITES["left"], HAND_SITES["right"], strict=True):
+        np.testing.assert_allclose(points[left], points[right] * [1.0, -1.0, 1.0], atol=1e-9)
+
+
+def test_strength_clips_servos() -> None:
+    joints = JointForces.none(1)
+    joints.servo(0, 0.0, 0.0, 2.0, 0.0, 100.0, 10.0, 0.001, (-30.0, 50.0))
+    assert joints.tau[0] == 50.0
+    assert joints.implicit[0] == 0.0  # a servo at its end does not give way
+    free = JointForces.none(1)
+    free.servo(0, 0.0, 0.0, 0.3, 0.0, 100.0, 10.0, 0.001, (-30.0, 50.0))
+    assert free.tau[0] == pytest.approx(30.0)
+    assert free.implicit[0] > 0.0
+
+
+def test_strengths_are_those_of_a_trained_human() -> None:
+    strong = gymnast("male", strength_limits=True)
+    assert strong.strongest is not None
+    knee = strong.strongest[speed_index(strong.body, "left_knee", "y")]
+    np.testing.assert_allclose(knee, [-378.0, 193.0], rtol=0.02)  # it straightens more strongly than it bends
+    assert gymnast("male").strongest is None

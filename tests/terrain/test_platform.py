@@ -9,8 +9,9 @@ import pytest
 
 from echelon.agents.characters import character_named
 from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnast_body import site_points
 from echelon.agents.script import load_script
-from echelon.benchmarks.thesis.dives import HEIGHT, divers, edge_behind
+from echelon.benchmarks.thesis.dives import HEIGHT, ON_PLATFORM, divers
 from echelon.simulation.ground_below import ground_planes
 from echelon.simulation.performance import Performance
 from echelon.terrain.platform import DEPTH, PlatformTerrain
@@ -37,7 +38,8 @@ def test_divers_stand_with_their_heels_over_the_edge_and_others_fall(sex: str) -
     dive = load_script("inward-dive-one-and-a-half-pike" if sex == "male" else "inward-dive-two-and-a-half-pike")
     fallen = []
     for people in (divers(character, 8), character.population(8, 0, 0.0, True)):
-        terrain = PlatformTerrain.of(HEIGHT, edge=(edge_behind(character), 0.0))
+        balls = site_points(character.body, people.q[0])["left_ball_inner"][0]
+        terrain = PlatformTerrain.of(HEIGHT, edge=(balls - ON_PLATFORM, 0.0))
         places = np.tile([0.0, 0.0, HEIGHT], (8, 1))
         # Only the first row, where one stands.
         table = dive.table(character.body)[:1].copy()
