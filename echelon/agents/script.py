@@ -299,7 +299,7 @@ class _TableWriter:
         slope, tilt = legs.get("slope", 0.0), legs.get("tilt", 0.0)
         if "com_x" in legs:
             # Where this row leaves the rest of the body.
-            elsewhere = self.posture | targets
+            elsewhere = {**self.posture, **targets}
             for name, given in row.get("channels", {}).items():
                 for channel in _channels(self.script.source, f"{where}, channels", name):
                     elsewhere[channel] = self.value(f"{where}, channels.{name}", given)
