@@ -526,6 +526,7 @@ def gymnast(
     name: str = "",
     strength_limits: bool = False,
     joint_limits: bool = False,
+    mat: bool = False,
 ) -> Gymnast:
     """A gymnast whose servos are as much stronger than the male's as its limbs are harder to move.
 
@@ -536,12 +537,13 @@ def gymnast(
         name: What scenarios call it; made of the sex if empty.
         strength_limits: Whether joints are no stronger than a trained human's (see `gymnast_joints`).
         joint_limits: Whether joints have soft stops where a human's end.
+        mat: Whether the ground is a gymnastics mat's.
     """
     bare = gymnast_body(sex, height=height, mass=mass)
     tallness = HEIGHTS[sex] if height is None else height
     body = bare
-    if backpack > 0.0 or joint_limits:
-        body = gymnast_body(sex, height=height, mass=mass, backpack=backpack, limits=joint_limits)
+    if backpack > 0.0 or joint_limits or mat:
+        body = gymnast_body(sex, height=height, mass=mass, backpack=backpack, limits=joint_limits, mat=mat)
     strongest = joint_strength(body, sex, tallness, bare.mass) if strength_limits else None
     return Gymnast(body, name or f"gymnast-{sex}", bare.mass * tallness**2 / GAIN_BODY, strongest)
 

@@ -83,6 +83,9 @@ HAND_STIFFNESS, HAND_DAMPING = 50_000.0, 700.0
 BODY_STIFFNESS, BODY_DAMPING = 25_000.0, 700.0
 SKIN_FRICTION = 0.6
 
+MAT = 4.0
+"""How much softer than a floor a mat is: nine body weights on both soles press one of 4 cm flat."""
+
 FOOT_SITES: dict[str, tuple[str, ...]] = {
     side: tuple(f"{side}_{place}_{edge}" for place in ("heel", "ball") for edge in ("inner", "outer")) for side in SIDES
 }
@@ -134,6 +137,7 @@ def gymnast_body(
     mass: float | None = None,
     shoulders: Literal["ball", "gimbal"] = "ball",
     limits: bool = False,
+    mat: bool = False,
 ) -> Body:
     """A gymnast's body.
 
@@ -146,6 +150,8 @@ def gymnast_body(
             y (twist), z (swing), which stay apart while the twist is less than a right angle.
         limits: Whether joints have soft stops at the limits of `gymnast_joints`. A character makes them act by
             `JointForces.limits`; balls have none.
+        mat: Whether soles and hands meet a gymnastics mat, which gives way by `MAT` times more than a floor, rather
+            than a floor: *Animating Human Athletics* models mats of 4 cm by a softer ground.
 
     Returns:
         The body, standing in the reference pose with its soles on z = 0. Masses in kg, lengths in m.
@@ -164,6 +170,8 @@ def gymnast_body(
         raise InputError(f"gymnast: backpack is {backpack} kg, must lie between 0 and {LARGEST_BACKPACK:g} kg")
     links = [_scaled(link, tallness, heaviness) for link in _thesis_links(sex, symmetric)]
     contacts = _sites(thesis, links, tallness, heaviness, symmetric)
+    if mat:
+        contacts = tuple(_on_a_mat(site) if site.name not in FALL_SITES else site for site in contacts)
     if backpack > 0.0:
         links = [_carrying(link, backpack) if link.name == BACKPACK_PLACE else link for link in links]
     if shoulders == "gimbal":
@@ -412,6 +420,11 @@ def _soles(thesis: Body, tallness: float, heaviness: float, symmetric: bool) -> 
             )
         )
     return result
+
+
+def _on_a_mat(site: ContactSite) -> ContactSite:
+    """A site whose ground is as much softer as a mat, and damped as near to critical as before."""
+    return replace(site, stiffness=site.stiffness / MAT, damping=site.damping / math.sqrt(MAT))
 
 
 def _hand(link: Link, side: str, tallness: float, weight: float) -> list[ContactSite]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from echelon.agents.gymnast import gymnast
 from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.land import falls_onto_feet, growth, land
 from echelon.benchmarks.thesis.leap import gymnast_of, script_of
@@ -36,3 +37,12 @@ def test_feet_that_come_down_behind_do_not_stop_a_fast_body() -> None:
     values = [{"speed": 2.0, "feet": -0.3}]
     landings = land(gymnast_of("male"), script_of("drop-landing", "male"), values, SETTINGS, speeds=speeds)
     assert not landings.balanced.any()
+
+
+def test_a_mat_takes_a_fifth_of_the_force() -> None:
+    falls = np.array([0.45, 0.75, 1.15])
+    script = script_of("drop-landing", "male")
+    floor = falls_onto_feet(gymnast_of("male"), script, falls, SETTINGS)
+    mat = falls_onto_feet(gymnast("male", mat=True), script, falls, SETTINGS)
+    assert mat.balanced.all()
+    assert (mat.peak < 0.87 * floor.peak).all()
