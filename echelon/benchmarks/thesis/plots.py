@@ -24,6 +24,8 @@ BODIES = {"male": STEEL, "female": "#b5495b"}
 COLUMNS = 3
 PANEL = (3.9, 3.1)  # width and height [in]
 DIRECTION = "direction [deg]"
+YES_OR_NO = ("ends balanced", "stands")
+"""Quantities that are left to the table: they are one, or there is something to mend."""
 
 
 @dataclass(frozen=True)
@@ -60,16 +62,16 @@ def write_pages(rows: Sequence[FidelityRow], folder: Path) -> list[Path]:
 def panels_of(name: str, title: str, rows: Sequence[FidelityRow]) -> list[Panel]:
     """The panels of an experiment: quantities that were measured at three numbers or more."""
     ours = {(row.body, row.condition, row.quantity): row.ours for row in rows if row.experiment == name}
-    found: dict[tuple[str, str], Panel] = {}
+    found: dict[tuple[str, str, str], Panel] = {}
     for published in published_rows(name):
         key = (published.body, published.condition, published.quantity)
         numbers = [given for given, value in published.given.items() if not isinstance(value, str)]
-        if key not in ours or not numbers:
+        if key not in ours or not numbers or published.quantity in YES_OR_NO:
             continue
         given = DIRECTION if DIRECTION in numbers else numbers[0]
         others = [_short(other, value) for other, value in published.given.items() if other != given]
         unit = f" [{published.unit}]" if published.unit != "1" else ""
-        panel = found.setdefault((published.quantity, given), Panel(title, published.quantity + unit, given, {}))
+        panel = found.setdefault((published.quantity, unit, given), Panel(title, published.quantity + unit, given, {}))
         label = ", ".join([published.body, *(others if given == DIRECTION else [])])
         panel.series.setdefault(label, []).append((published, ours[key]))
     return [panel for panel in found.values() if any(len(points) >= 3 for points in panel.series.values())]
