@@ -47,13 +47,24 @@ from echelon.agents.gymnast_channels import (
     shoulder_orientation,
 )
 from echelon.agents.gymnast_joints import joint_strength
+from echelon.agents.gymnast_measures import (
+    MEASURES,
+    least,
+    look_ahead,
+    mass_in_motion,
+    mean,
+    measure_pelvis,
+    middle,
+    place_of,
+    total,
+)
 from echelon.agents.gymnast_posture import channels_of
 from echelon.warp_kernels.character import NO_EVENT, Population, View
 from echelon.warp_kernels.contact import JointForces
 from echelon.warp_kernels.reference import Body
 from echelon.warp_kernels.scripts import CAPTURED, PATH_PARTS, ScriptLayout, path_now
-from echelon.warp_kernels.spatial import Vector, add, apply, cross, scale
-from echelon.warp_kernels.trace import asin, atan2, clamp, logical_not, maximum, minimum, select, sincos, sqrt
+from echelon.warp_kernels.spatial import Vector
+from echelon.warp_kernels.trace import asin, clamp, logical_not, maximum, minimum, select, sincos
 
 GAINS: Mapping[str, tuple[float, float]] = {
     "hip": (2075.0, 150.0),
@@ -127,22 +138,6 @@ the distance;
 `fall_tilt` is how far the pelvis may tilt while a foot is loaded [rad]; `ahead_height` [m] and `ahead_inertia`
 [kg m^2] are the height of the centre of mass over the ground until which, and the inertia with which,
 `somersault_ahead` looks ahead."""
-
-MEASURES: tuple[str, ...] = (
-    "row_age", "time", "foot_force", "hand_force", "unloaded", "hands_unloaded", "foot_clearance", "hand_clearance",
-    "com_x", "com_y", "com_height", "vx", "vy", "vz", "pitch", "pitch_rate", "lean", "upright", "somersault", "twist",
-    "momentum_x", "momentum_y", "momentum_z", "hip", "knee", "knee_rate", "knee_rate_share", "feet_x", "touchdowns",
-    "time_ahead", "somersault_ahead", "reaction",
-)  # fmt: skip
-"""What clauses of scripts may ask about: time in the row and since the start [s]; forces on feet and hands [N], and how
-long they have felt none [s]; how far the lowest of them is from the ground [m]; the centre of mass from the middle of
-the feet and over the ground [m] and its velocity [m/s]; pitch, its rate and sideways lean of the pelvis [rad], [rad/s],
-the cosine of its tilt; somersault and twist since the start [rad], forward and to the left, which are angles of the
-pelvis about y and z with its lean between them; angular momentum about the centre of mass [kg m^2/s], about axes
-forward, left and up; mean hip and knee angle [rad], knee rate [rad/s] and as a share of the greatest in this row; the
-feet from the centre of mass [m]; how often the feet came down; in flight, how long until the centre of mass is down at
-`ahead_height` [s], and what the somersault will be then with `ahead_inertia` from now on [rad]; the vertical force of
-the ground on the whole body, mean of the last tick [N], which is what the body's momentum tells of."""
 
 FOOT_LINKS = ("foot", "toes")
 HAND_LINKS = ("hand",)
@@ -266,19 +261,19 @@ class Gymnast:
             """A vector of the world along forward, left and up."""
             return [c * vector[0] + s * vector[1], c * vector[1] - s * vector[0], vector[2]]
 
-        center, velocity, momentum = self._mass_in_motion(view)
-        feet = [self._site_place(view, site) for site in self._feet]
-        hands = [self._site_place(view, site) for site in self._hands]
-        lowest_foot = _least([place[2] for place in feet])
+        center, velocity, momentum = mass_in_motion(self.body, view.kin)
+        feet = [place_of(self.body, view.kin, site) for site in self._feet]
+        hands = [place_of(self.body, view.kin, site) for site in self._hands]
+        lowest_foot = least([place[2] for place in feet])
         loaded = memory["foot_force"] > FEELS
         memory["ground"] = select(loaded, lowest_foot, memory["ground"])
         memory["foot_clearance"] = lowest_foot - memory["ground"]
         if hands:
-            memory["hand_clearance"] = _least([place[2] for place in hands]) - memory["ground"]
-        middle = facing([_middle([place[axis] for place in feet]) for axis in range(3)])
+            memory["hand_clearance"] = least([place[2] for place in hands]) - memory["ground"]
+        sole = facing([middle([place[axis] for place in feet]) for axis in range(3)])
         forward = facing(center)
-        memory["com_x"], memory["com_y"] = forward[0] - middle[0], forward[1] - middle[1]
-        memory["feet_x"] = middle[0] - forward[0]
+        memory["com_x"], memory["com_y"] = forward[0] - sole[0], forward[1] - sole[1]
+        memory["feet_x"] = sole[0] - forward[0]
         memory["com_height"] = center[2] - memory["ground"]
         memory["highest"] = maximum(memory["highest"], memory["com_height"])
         # By what the body's momentum gained, not by what contacts ask for before their dampers give way (see
@@ -289,11 +284,12 @@ class Gymnast:
         memory["hardest"] = maximum(memory["hardest"], memory["reaction"])
         memory["vx"], memory["vy"], memory["vz"] = facing(velocity)
         memory["momentum_x"], memory["momentum_y"], memory["momentum_z"] = facing(momentum)
-        self._measure_pelvis(view, facing)
+        measure_pelvis(view, facing)
+        look_ahead(memory, self.body.gravity)
         knee_rates = [view.u[self._speed(LIMBS["knee"], side)] for side in SIDES]
-        memory["hip"] = _mean([view.q[self._coordinate(LIMBS["hip"], side)] for side in SIDES])
-        memory["knee"] = _mean([view.q[self._coordinate(LIMBS["knee"], side)] for side in SIDES])
-        memory["knee_rate"] = _mean(knee_rates)
+        memory["hip"] = mean([view.q[self._coordinate(LIMBS["hip"], side)] for side in SIDES])
+        memory["knee"] = mean([view.q[self._coordinate(LIMBS["knee"], side)] for side in SIDES])
+        memory["knee_rate"] = mean(knee_rates)
         memory["knee_rate_peak"] = maximum(memory["knee_rate_peak"], memory["knee_rate"])
         memory["knee_rate_share"] = memory["knee_rate"] / maximum(memory["knee_rate_peak"], 0.1)
         tilted = (memory["upright"] < self._cosine_of(memory["row.fall_tilt"])) & loaded
@@ -313,59 +309,6 @@ class Gymnast:
     @staticmethod
     def _cosine_of(angle: Any) -> Any:
         return _cosine_and_sine(minimum(angle, math.pi))[0]
-
-    def _measure_pelvis(self, view: View, facing: Any) -> None:
-        """How the pelvis is turned, and how far it has turned since the start."""
-        memory = view.memory
-        rotation, _ = view.kin.world(0)
-        up = facing([rotation[i][2] for i in range(3)])
-        pitch = atan2(up[0], up[2])
-        memory["somersault"] = memory["somersault"] + _shorter_way(pitch - memory["last_pitch"])
-        memory["last_pitch"] = pitch
-        memory["pitch"] = pitch
-        memory["lean"] = asin(clamp(up[1], -1.0, 1.0))
-        memory["upright"] = up[2]
-        spin = facing(apply(rotation, view.kin.omega[0]))
-        memory["pitch_rate"] = spin[1]
-        # Somersault, lean and twist are angles about y, then x, then z: how fast the body turns about its long axis is
-        # not how fast it twists while it somersaults tilted.
-        forwards, sideways = (facing([rotation[i][axis] for i in range(3)])[1] for axis in range(2))
-        around = atan2(forwards, sideways)
-        memory["twist"] = memory["twist"] + _shorter_way(around - memory["last_twist"])
-        memory["last_twist"] = around
-        self._look_ahead(memory)
-
-    def _look_ahead(self, memory: dict[str, Any]) -> None:
-        """How long the fall still takes, and how far the body will have turned by then."""
-        speed, height = memory["vz"], memory["com_height"] - memory["row.ahead_height"]
-        root = sqrt(maximum(speed * speed + 2.0 * self.body.gravity * height, 0.0))
-        memory["time_ahead"] = (1.0 / self.body.gravity) * (speed + root)
-        turn = memory["momentum_y"] * memory["time_ahead"] / maximum(memory["row.ahead_inertia"], 0.1)
-        memory["somersault_ahead"] = memory["somersault"] + turn
-
-    def _mass_in_motion(self, view: View) -> tuple[Vector, Vector, Vector]:
-        """Centre of mass [m], its velocity [m/s], and the angular momentum about it [kg m^2/s]; world axes."""
-        kin, body = view.kin, self.body
-        total = body.mass
-        center: Vector = [0.0, 0.0, 0.0]
-        velocity: Vector = [0.0, 0.0, 0.0]
-        momentum: Vector = [0.0, 0.0, 0.0]
-        for index, link in enumerate(body.links):
-            place = kin.tree.node_of_link[index]
-            rotation, origin = kin.world(place)
-            at = add(origin, apply(rotation, list(link.com)))
-            omega = kin.omega[place]
-            moving = add(kin.world_velocity(place), apply(rotation, cross(omega, list(link.com))))
-            spin = [sum(link.inertia[i][j] * omega[j] for j in range(3) if link.inertia[i][j] != 0.0) for i in range(3)]
-            center = add(center, scale(link.mass / total, at))
-            velocity = add(velocity, scale(link.mass / total, moving))
-            momentum = add(momentum, add(apply(rotation, spin), scale(link.mass, cross(at, moving))))
-        momentum = add(momentum, scale(-total, cross(center, velocity)))
-        return center, velocity, momentum
-
-    def _site_place(self, view: View, site: Any) -> Vector:
-        rotation, origin = view.kin.world(view.kin.tree.node_of_link[self._links[site.link]])
-        return add(origin, apply(rotation, list(site.position)))
 
     def _follow_paths(self, view: View) -> dict[str, Any]:
         """Where each channel should be now by its path; ages the paths."""
@@ -412,7 +355,7 @@ class Gymnast:
         desired = desired + memory["row.placement_per_speed_squared"] * speed * size
         swing = memory["row.placement_kp"] * (desired - memory["feet_x"])
         # How fast the feet move from the centre of mass, by how fast the hips and the pelvis turn.
-        rate = _mean([view.u[self._speed(LIMBS["hip"], side)] for side in SIDES]) + memory["pitch_rate"]
+        rate = mean([view.u[self._speed(LIMBS["hip"], side)] for side in SIDES]) + memory["pitch_rate"]
         swing = swing + memory["row.placement_kv"] * rate
         running = memory["row.placement"] * select(memory["row.placement_upright"] < memory["upright"], 1.0, 0.0)
         for side in SIDES:
@@ -491,9 +434,9 @@ class Gymnast:
     def _feel(self, view: View) -> None:
         """Latch what the contacts carry."""
         memory = view.memory
-        foot = _total([view.contacts[site.name].normal_force for site in self._feet])
-        hand = _total([view.contacts[site.name].normal_force for site in self._hands])
-        other = _total([view.contacts[site.name].normal_force for site in self._others])
+        foot = total([view.contacts[site.name].normal_force for site in self._feet])
+        hand = total([view.contacts[site.name].normal_force for site in self._hands])
+        other = total([view.contacts[site.name].normal_force for site in self._others])
         loaded, before = foot > FEELS, memory["loaded"] > 0.5
         came_down, left = loaded & logical_not(before), logical_not(loaded) & before
         memory["touchdowns"] = memory["touchdowns"] + select(came_down & (memory["unloaded"] > 0.02), 1.0, 0.0)
@@ -551,34 +494,3 @@ def gymnast(
 def _cosine_and_sine(angle: Any) -> tuple[Any, Any]:
     sine, cosine = sincos(angle)
     return cosine, sine
-
-
-def _shorter_way(turn: Any) -> Any:
-    """A difference of two angles as the turn between -pi and pi that makes it [rad]."""
-    return select(math.pi < turn, turn - 2.0 * math.pi, select(turn < -math.pi, turn + 2.0 * math.pi, turn))
-
-
-def _least(values: Sequence[Any]) -> Any:
-    least = values[0]
-    for value in values[1:]:
-        least = minimum(least, value)
-    return least
-
-
-def _middle(values: Sequence[Any]) -> Any:
-    """Half way between the least and the greatest."""
-    greatest = values[0]
-    for value in values[1:]:
-        greatest = maximum(greatest, value)
-    return 0.5 * (_least(values) + greatest)
-
-
-def _mean(values: Sequence[Any]) -> Any:
-    return _total(values) * (1.0 / len(values))
-
-
-def _total(values: Sequence[Any]) -> Any:
-    total: Any = 0.0
-    for value in values:
-        total = total + value
-    return total

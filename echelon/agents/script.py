@@ -49,9 +49,10 @@ from typing import Any
 
 import numpy as np
 
-from echelon.agents.gymnast import ARMS_SPREAD, MEASURES, SETTINGS, Gymnast
+from echelon.agents.gymnast import ARMS_SPREAD, SETTINGS, Gymnast
 from echelon.agents.gymnast_body import leg_geometry
 from echelon.agents.gymnast_channels import CHANNELS, GROUPS, SIDED, SIDES, channels_named
+from echelon.agents.gymnast_measures import MEASURES
 from echelon.agents.gymnast_posture import balanced_legs, leg_angles
 from echelon.agents.poses import poses
 from echelon.errors import InputError

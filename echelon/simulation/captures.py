@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from echelon.agents.gymnast import MEASURES, Gymnast
+from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnast_measures import MEASURES
 from echelon.errors import InputError
 from echelon.recording import Recording
 from echelon.scenario import Scenario

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from echelon.agents.gymnast import MEASURES, Gymnast
+from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnast_measures import MEASURES
 from echelon.agents.script import Script, parse_script, script_text
 from echelon.errors import InputError
 from echelon.scenario import PerformanceSettings, Scenario, ScriptSettings

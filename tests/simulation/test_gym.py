@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from echelon.agents.gymnast import MEASURES, Gymnast
+from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnast_measures import MEASURES
 from echelon.agents.script import parse_script
 from echelon.errors import InputError
 from echelon.recording import Recording, layout
