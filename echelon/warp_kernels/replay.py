@@ -77,7 +77,7 @@ class Team:
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._helpers = [_Helper() for _ in range(size - 1)]
+        self._workers = [_Worker() for _ in range(size - 1)]
 
     def run(self, works: Sequence[Callable[[], None]]) -> None:
         """Do all pieces of work; each thread takes the next when it is done with one. Raises what one of them raised.
@@ -85,23 +85,23 @@ class Team:
         Args:
             works: In the order in which they are begun.
         """
-        helpers = self._helpers[: len(works) - 1]
+        workers = self._workers[: len(works) - 1]
         left = deque(works)
-        for helper in helpers:
-            helper.begin(left)
+        for worker in workers:
+            worker.begin(left)
         try:
             do_all(left)
         finally:
-            for helper in helpers:
-                helper.wait()
-        for helper in helpers:
-            helper.check()
+            for worker in workers:
+                worker.wait()
+        for worker in workers:
+            worker.check()
 
     def close(self) -> None:
         """Let the threads go; can be called twice."""
-        for helper in self._helpers:
-            helper.end()
-        self._helpers = []
+        for worker in self._workers:
+            worker.end()
+        self._workers = []
         self.size = 1
 
 
@@ -181,7 +181,7 @@ def do_all(left: deque[Callable[[], None]]) -> None:
         work()
 
 
-class _Helper:
+class _Worker:
     """One thread of a team, which sleeps until there is something to do."""
 
     def __init__(self) -> None:

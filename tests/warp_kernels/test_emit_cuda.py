@@ -13,6 +13,7 @@ import pytest
 import warp as wp
 from engine_scenes import SlopedTerrain, hopper, puppet
 
+from echelon.agents.characters import character_named
 from echelon.warp_kernels import frame_kernel, ghosts
 from echelon.warp_kernels.bumper import bumper_of
 from echelon.warp_kernels.character import Character
@@ -51,10 +52,12 @@ def compiled(character: Character, integrator: Integrator, folder: Path, meets: 
 
 
 @pytest.mark.parametrize(
-    ("name", "integrator"), [("hopper", "semi-implicit"), ("hopper", "rk4"), ("male", "semi-implicit")]
+    ("name", "integrator"),
+    [("hopper", "semi-implicit"), ("hopper", "rk4"), ("male", "semi-implicit"), ("gymnast-male", "semi-implicit")],
 )
 def test_the_frame_kernel_compiles(name: str, integrator: Integrator, tmp_path: Path):
-    character = hopper() if name == "hopper" else puppet(name)
+    followed = character_named(name) if name == "gymnast-male" else None  # one that follows scripts
+    character = followed or (hopper() if name == "hopper" else puppet(name))
     source, ptx = compiled(character, integrator, tmp_path)
     assert ".visible .entry" in ptx
     assert f".target sm_{ARCHITECTURE}" in ptx
@@ -65,7 +68,8 @@ def test_the_frame_kernel_compiles(name: str, integrator: Integrator, tmp_path: 
     fused = len(re.findall(r"fma\.rn\.f32", ptx))
     written = source.count("fmaf(")
     assert written > 400
-    assert fused <= written * (1.02 if integrator == "semi-implicit" else 1.2)
+    # A script's stage is plain Warp, whose loops are unrolled as well: 3 % more were counted.
+    assert fused <= written * (1.2 if integrator == "rk4" else 1.05 if followed else 1.02)
     # Everything of a substep is in float32: doubles are for origins and planes alone.
     assert len(re.findall(r"(add|mul|fma)\.rn\.f64", ptx)) < 100
     assert "sin.approx" not in ptx
