@@ -384,7 +384,7 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
     refused(tmp_path / "folder.toml", "cannot be read")
     with pytest.raises(InputError, match="did you mean 'border-collie'"):
         Scenario.load("border-colie")
-    with pytest.raises(InputError, match="known are .*border-collie"):
+    with pytest.raises(InputError, match=r"known are .*border-collie"):
         Scenario.load("sheep")
     with pytest.raises(InputError, match="no such scenario") as error:
         Scenario.load("two\nlines")
