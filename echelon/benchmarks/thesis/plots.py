@@ -61,18 +61,24 @@ def write_pages(rows: Sequence[FidelityRow], folder: Path) -> list[Path]:
 
 def panels_of(name: str, title: str, rows: Sequence[FidelityRow]) -> list[Panel]:
     """The panels of an experiment: quantities that were measured at three numbers or more."""
-    ours = {(row.body, row.condition, row.quantity): row.ours for row in rows if row.experiment == name}
+    ours = {(row.body, row.condition, row.quantity, row.unit): row.ours for row in rows if row.experiment == name}
+    varied: dict[str, set[float]] = {}
+    for published in published_rows(name):
+        for given, value in published.given.items():
+            if not isinstance(value, str):
+                varied.setdefault(given, set()).add(value)
     found: dict[tuple[str, str, str], Panel] = {}
     for published in published_rows(name):
-        key = (published.body, published.condition, published.quantity)
+        key = (published.body, published.condition, published.quantity, published.unit)
         numbers = [given for given, value in published.given.items() if not isinstance(value, str)]
         if key not in ours or not numbers or published.quantity in YES_OR_NO:
             continue
-        given = DIRECTION if DIRECTION in numbers else numbers[0]
-        others = [_short(other, value) for other, value in published.given.items() if other != given]
+        given = max(numbers, key=lambda one: len(varied[one]))
+        # What takes few values beside it tells one line from another; what goes along with it does not.
+        apart = [one for one in numbers if 2 * len(varied[one]) < len(varied[given])]
+        label = ", ".join([published.body, *(_short(one, published.given[one]) for one in apart)])
         unit = f" [{published.unit}]" if published.unit != "1" else ""
         panel = found.setdefault((published.quantity, unit, given), Panel(title, published.quantity + unit, given, {}))
-        label = ", ".join([published.body, *(others if given == DIRECTION else [])])
         panel.series.setdefault(label, []).append((published, ours[key]))
     return [panel for panel in found.values() if any(len(points) >= 3 for points in panel.series.values())]
 
