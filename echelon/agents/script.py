@@ -29,41 +29,55 @@ feedback, and what leads on to which other row:
     capture = { vz = [-2.0, 2.0] }                  # what should hold on arrival
     next = [{ to = "push", when = { row_age = [0.6, inf], com_x = [0.0, 0.1] } }]
 
-Rows stand in order; the first begins. Wherever a number stands, a string may: an expression of parameters, with
-``+ - * /``, parentheses, ``pi``, ``leg`` (from hip to ankle when it is straight [m]) and the functions ``min``,
-``max``, ``abs`` and ``table(x, [xs], [ys])``, which is piecewise linear.
+Rows stand in order; the first begins. Wherever a number stands in a row, a string may: a formula (see `formulas`) of
+parameters and of ``leg``, which is how far the ankle is from the hip when the leg is straight [m].
 """
 
 from __future__ import annotations
 
-import ast
-import difflib
 import math
-import operator
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
+from echelon.agents.formulas import formula
 from echelon.agents.gymnast import ARMS_SPREAD, SETTINGS, Gymnast
-from echelon.agents.gymnast_body import leg_geometry
+from echelon.agents.gymnast_body import Sex, leg_geometry
 from echelon.agents.gymnast_channels import CHANNELS, GROUPS, SIDED, SIDES, channels_named
 from echelon.agents.gymnast_measures import MEASURES
 from echelon.agents.gymnast_posture import balanced_legs, leg_angles
 from echelon.agents.poses import poses
 from echelon.errors import InputError
+from echelon.settings import shown, suggestion
 from echelon.warp_kernels.reference import Body
 from echelon.warp_kernels.scripts import CAPTURES, CLAUSE_SIZE, CLAUSES, TRANSITION_SIZE, TRANSITIONS, ScriptLayout
 
 _SHIPPED = resources.files("echelon.agents") / "maneuvers"
-ROW_KEYS = (
-    "name", "phase", "duration", "durations", "pose", "legs", "channels", "gains", "settings", "start", "capture",
-    "next",
-)  # fmt: skip
+ROW_KEYS: Mapping[str, Any] = {
+    "name": str,
+    "phase": str,
+    "duration": (int, float, str),
+    "durations": dict,
+    "pose": str,
+    "legs": dict,
+    "channels": dict,
+    "gains": dict,
+    "settings": dict,
+    "start": str,
+    "capture": dict,
+    "next": list,
+}
+SHAPES: Mapping[Any, str] = {
+    str: "text",
+    (int, float, str): "a number or a formula of parameters",
+    dict: "a table",
+    list: "a list of tables",
+}
 FILE_KEYS = ("name", "title", "description", "body", "parameters", "row", "tuned")
 PARAMETER_KEYS = ("value", "spread", "least", "most", "unit", "about")
 STARTS = ("wanted", "measured")
@@ -187,10 +201,8 @@ def script_text(name_or_path: str | Path) -> tuple[str, str]:
         return (_SHIPPED / f"{name_or_path}.toml").read_text("utf-8"), f"{name_or_path}.toml"
     path = Path(name_or_path)
     if path.suffix != ".toml":
-        near = difflib.get_close_matches(str(name_or_path), maneuver_names(), n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        known = ", ".join(maneuver_names())
-        raise InputError(f"maneuver {str(name_or_path)!r}: {hint}allowed are {known} or the path of a .toml file")
+        hint = suggestion(str(name_or_path), maneuver_names())
+        raise InputError(f"maneuver {str(name_or_path)!r}: no such maneuver and no .toml file{hint}")
     try:
         return path.read_text("utf-8"), str(path)
     except OSError as error:
@@ -212,17 +224,23 @@ def parse_script(text: str, source: str) -> Script:
     for key in data:
         _known(source, "the file", key, FILE_KEYS)
     rows = data.get("row", [])
-    if not isinstance(rows, list) or not rows:
-        raise InputError(f"{source}: needs at least one [[row]]")
+    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+        raise InputError(f"{source}: needs rows, each a table that begins with [[row]]")
     for place, row in enumerate(rows):
-        for key in row:
-            _known(source, f"row {place + 1}", key, ROW_KEYS)
         row.setdefault("name", f"row {place + 1}")
+        for key, given in row.items():
+            _known(source, f"row {place + 1}", key, tuple(ROW_KEYS))
+            if not isinstance(given, ROW_KEYS[key]):
+                raise InputError(f"{source}: row {place + 1}, {key} = {shown(given)}: must be {SHAPES[ROW_KEYS[key]]}")
     names = [row["name"] for row in rows]
     twice = [name for place, name in enumerate(names) if name in names[:place]]
     if twice:
         raise InputError(f"{source}: row name {twice[0]!r} stands twice; names must differ")
-    parameters = {name: _parameter(source, name, value) for name, value in data.get("parameters", {}).items()}
+    given = data.get("parameters", {})
+    if not isinstance(given, dict):
+        raise InputError(f"{source}: parameters = {shown(given)}: must be a table")
+    parameters = {name: _parameter(source, name, value) for name, value in given.items()}
+    _known(source, "body", data.get("body", "male"), get_args(Sex))
     script = Script(
         name=str(data.get("name", Path(source).stem)),
         title=str(data.get("title", "")),
@@ -250,8 +268,8 @@ class _TableWriter:
         self.posture: dict[str, float] = {f"{side}_shoulder_spread": ARMS_SPREAD for side in SIDES}
         self.setting_places = {name: layout.setting_place + i for i, name in enumerate(layout.settings)}
 
-    def value(self, where: str, given: Any) -> float:
-        return _number(self.script.source, where, given, self.numbers)
+    def value(self, where: str, given: Any, bound: bool = False) -> float:
+        return _number(self.script.source, where, given, self.numbers, bound)
 
     def row(self, place: int, row: Mapping[str, Any]) -> list[float]:
         where = f"row {row['name']!r}"
@@ -340,7 +358,7 @@ class _TableWriter:
             if i < len(filled):
                 name, (low, high) = filled[i]
                 measure = float(self.layout.measures.index(name))
-                least, most = self.value(f"{where}.{name}", low), self.value(f"{where}.{name}", high)
+                least, most = (self.value(f"{where}.{name}", bound, bound=True) for bound in (low, high))
             numbers[at + i * CLAUSE_SIZE : at + (i + 1) * CLAUSE_SIZE] = [measure, least, most]
 
 
@@ -357,6 +375,8 @@ def _check(script: Script) -> None:
             _known(source, f"{where}, start", row["start"], STARTS)
         if "pose" in row:
             _known(source, f"{where}, pose", row["pose"], tuple(poses()))
+        if "duration" in row:
+            _number(source, f"{where}, duration", row["duration"], numbers)
         for key in ("durations", "channels"):
             for name, given in row.get(key, {}).items():
                 _channels(source, f"{where}, {key}", name)
@@ -381,6 +401,10 @@ def _check(script: Script) -> None:
         if not isinstance(transitions, list) or len(transitions) > TRANSITIONS:
             raise InputError(f"{source}: {where}, next: must be a list of at most {TRANSITIONS} transitions")
         for transition in transitions:
+            if not isinstance(transition, Mapping):
+                raise InputError(
+                    f"{source}: {where}, next: {shown(transition)} must be a table with the row it leads to"
+                )
             for key in transition:
                 _known(source, f"{where}, next", key, ("to", "when"))
             if "to" not in transition:
@@ -397,25 +421,27 @@ def _check_clauses(source: str, where: str, clauses: Any, count: int, numbers: M
         if not isinstance(given, list) or len(given) != 2:
             raise InputError(f"{source}: {where}.{name} = {given!r}: must be [least, most]")
         for value in given:
-            _number(source, f"{where}.{name}", value, numbers)
+            _number(source, f"{where}.{name}", value, numbers, bound=True)
 
 
 def _parameter(source: str, name: str, given: Any) -> Parameter:
-    if not name.isidentifier():
-        raise InputError(f"{source}: parameters: {name!r} must be a word of letters, digits and underscores")
+    if not name.isidentifier() or name in ("leg", "pi"):
+        raise InputError(
+            f"{source}: parameters: {name!r} must be a word of letters, digits and underscores, not leg or pi"
+        )
     if isinstance(given, int | float) and not isinstance(given, bool):
-        return Parameter(float(given))
+        return Parameter(_number(source, f"parameters.{name}", given, {}))
     if not isinstance(given, Mapping) or "value" not in given:
         raise InputError(f"{source}: parameters.{name} = {given!r}: must be a number, or a table with a value")
     for key in given:
         _known(source, f"parameters.{name}", key, PARAMETER_KEYS)
-    return Parameter(
-        float(given["value"]),
-        float(given.get("spread", 0.0)),
-        float(given.get("least", -math.inf)),
-        float(given.get("most", math.inf)),
-        str(given.get("about", "")),
-    )
+    numbers = {
+        key: _number(source, f"parameters.{name}.{key}", given.get(key, usual), {}, bound=key in ("least", "most"))
+        for key, usual in (("value", 0.0), ("spread", 0.0), ("least", -math.inf), ("most", math.inf))
+    }
+    if numbers["spread"] < 0.0 or not numbers["least"] <= numbers["value"] <= numbers["most"]:
+        raise InputError(f"{source}: parameters.{name}: spread must not be negative, nor value beyond least and most")
+    return Parameter(**numbers, about=str(given.get("about", "")))
 
 
 def _tuned(source: str, given: Any) -> Mapping[str, Any]:
@@ -432,57 +458,21 @@ def _channels(source: str, where: str, name: str) -> tuple[str, ...]:
 
 
 def _known(source: str, where: str, name: Any, allowed: Sequence[str]) -> None:
-    if name in allowed:
-        return
-    near = difflib.get_close_matches(str(name), allowed, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    raise InputError(f"{source}: {where}: {name!r} is not known: {hint}allowed are {', '.join(allowed)}")
+    if name not in allowed:
+        raise InputError(f"{source}: {where}: {shown(name)} is not known{suggestion(str(name), allowed)}")
 
 
-# ---- expressions -----------------------------------------------------------------------------------------------------
-_BINARY: Mapping[type[ast.operator], Callable[[float, float], float]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-}
-_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
-    "min": min,
-    "max": max,
-    "abs": abs,
-    "table": lambda x, xs, ys: float(np.interp(x, xs, ys)),
-}
-
-
-def _number(source: str, where: str, given: Any, numbers: Mapping[str, float]) -> float:
-    """A number, or the value of an expression of parameters."""
-    if isinstance(given, int | float) and not isinstance(given, bool):
-        return float(given)
-    if not isinstance(given, str):
-        raise InputError(f"{source}: {where} = {given!r}: must be a number or an expression of parameters")
-    try:
-        return float(_evaluate(ast.parse(given, mode="eval").body, numbers))
-    except KeyError as error:
-        known = ", ".join([*numbers, "pi", *_FUNCTIONS]) or "none"
-        raise InputError(f"{source}: {where} = {given!r}: {error.args[0]!r} is not known; known are {known}") from None
-    except (SyntaxError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise InputError(f"{source}: {where} = {given!r}: has no value: {error}") from None
-
-
-def _evaluate(node: ast.AST, numbers: Mapping[str, float]) -> Any:
-    match node:
-        case ast.Constant(value=int() | float() as value):
-            return value
-        case ast.Name(id="pi"):
-            return math.pi
-        case ast.Name(id=name):
-            return numbers[name]
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return -_evaluate(operand, numbers)
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            return _BINARY[type(op)](_evaluate(left, numbers), _evaluate(right, numbers))
-        case ast.List(elts=elements):
-            return [_evaluate(element, numbers) for element in elements]
-        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
-            return _FUNCTIONS[name](*[_evaluate(argument, numbers) for argument in arguments])
-    raise ValueError(f"{ast.unparse(node)!r} is not allowed")
+def _number(source: str, where: str, given: Any, numbers: Mapping[str, float], bound: bool = False) -> float:
+    """A number, or the value of a formula of parameters; a bound may be infinite."""
+    if isinstance(given, str):
+        found = formula(f"{source}: {where}", given)
+        for name in found.names:
+            _known(source, f"{where} = {given!r}", name, tuple(numbers))
+        value = float(found.value(numbers))
+    elif isinstance(given, int | float) and not isinstance(given, bool):
+        value = float(given)
+    else:
+        raise InputError(f"{source}: {where} = {shown(given)}: must be a number or a formula of parameters")
+    if math.isnan(value) or (math.isinf(value) and not bound):
+        raise InputError(f"{source}: {where} = {given!r}: is {value}, must be a finite number")
+    return value

@@ -52,11 +52,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from echelon.agents.formulas import Formula, formula
 from echelon.agents.gymnast import Gymnast
 from echelon.agents.script import Script
 from echelon.errors import InputError
 from echelon.settings import SettingError, Within, adopt, read, shown, suggestion
-from echelon.tuning.expressions import Formula, formula
 
 _SHIPPED = resources.files("echelon.tuning") / "objectives"
 

@@ -9,11 +9,11 @@ from echelon.agents.characters import character_named
 from echelon.agents.gymnast import Gymnast
 from echelon.agents.script import parse_script
 from echelon.errors import InputError
-from echelon.tuning.expressions import formula
+from echelon.agents.formulas import formula
 from echelon.tuning.judging import Watched, cost, costs, successes
 from echelon.tuning.objective import Condition, Objective, Stage, Term, load_objective, objective_names, parse_objective
 
-STAGE = '[[stage]]\nname = "s"\ntune = ["leg"]\n'
+STAGE = '[[stage]]\nname = "s"\ntune = ["bend"]\n'
 TERM = '[[stage.term]]\nvalue = "knee"\n'
 
 
@@ -118,7 +118,7 @@ def test_sums_and_successes() -> None:
         (STAGE + '[[stage.term]]\nvalue = "1 +"', r"stage\[0\].term\[0\].value = '1 \+': is no formula"),
         (STAGE + "failures = 1", r"stage\[0\].success: is missing"),
         (STAGE + "sigma = 2\n" + TERM, r"stage\[0\].sigma = 2.*at most 1"),
-        (STAGE.replace('["leg"]', "[]") + TERM, r"stage\[0\].tune = \[\]: must name parameters"),
+        (STAGE.replace('["bend"]', "[]") + TERM, r"stage\[0\].tune = \[\]: must name parameters"),
         (STAGE + TERM + '[[stage.success]]\nvalue = "fallen"', r"success\[0\].most: is missing"),
         ("stage = 3", "stage"),
         ("[[stage", "is not TOML"),
@@ -136,8 +136,8 @@ def test_bad_objectives_are_one_line(text: str, message: str) -> None:
     ("text", "message"),
     [
         (
-            '[[stage]]\nname = "s"\ntune = ["lag"]\n' + TERM,
-            r"stage\[0\].tune: .* has no parameter 'lag'; did you mean 'leg'",
+            '[[stage]]\nname = "s"\ntune = ["bent"]\n' + TERM,
+            r"stage\[0\].tune: .* has no parameter 'bent'; did you mean 'bend'",
         ),
         ('[[stage]]\nname = "s"\ntune = ["free"]\n' + TERM, "needs `least` and `most`"),
         (STAGE + TERM.replace("knee", "kneee"), "'kneee' is unknown; did you mean 'knee'"),
@@ -156,7 +156,7 @@ def test_objectives_about_something_else_are_refused(text: str, message: str) ->
 
 def test_all_means_every_parameter_with_bounds() -> None:
     script = parse_script('[parameters]\na = { value = 1, least = 0, most = 2 }\nb = 1\n[[row]]\nname = "r"', "s.toml")
-    objective = parse_objective(STAGE.replace('["leg"]', '"all"') + TERM, "o.toml")
+    objective = parse_objective(STAGE.replace('["bend"]', '"all"') + TERM, "o.toml")
     assert objective.stage[0].tuned(script) == ("a",)
     assert Objective(stage=(Stage("s", term=(Term("knee"),)),)).stage[0].tuned(script) == ("a",)
 

@@ -1,9 +1,10 @@
-"""Formulas of measures: what an objective asks about, as text, evaluated for all gymnasts at once.
+"""Formulas of named numbers, as scripts and objectives have them in their files.
 
-    "highest - standing"        "momentum_y / (mass * standing)"        "max(com_x, 0) + 0.2 * abs(lean)"
+    "0.985 * leg"        "highest - standing"        "table(height, [0.2, 0.6, 1.0], [0.71, 0.55, 0.4])"
 
-Numbers, names, ``+ - * /``, parentheses, ``pi`` and the functions ``abs``, ``sqrt``, ``min`` and ``max``. A formula is
-parsed once; its names are then known, so that only what is asked about is kept of a run.
+Numbers, names, ``+ - * /``, parentheses, ``pi`` and the functions ``abs``, ``sqrt``, ``min``, ``max`` and, piecewise
+linear, ``table(x, xs, ys)``. A formula is parsed once, and its names are then known; its value is that of numbers, or
+of arrays of them, one for each gymnast.
 """
 
 from __future__ import annotations
@@ -31,8 +32,15 @@ _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "sqrt": lambda value: np.sqrt(np.maximum(value, 0.0)),
     "min": lambda *values: reduce(np.minimum, values),
     "max": lambda *values: reduce(np.maximum, values),
+    "table": np.interp,
 }
-_ARGUMENTS: Mapping[str, tuple[int, int]] = {"abs": (1, 1), "sqrt": (1, 1), "min": (2, 8), "max": (2, 8)}
+_ARGUMENTS: Mapping[str, tuple[int, int]] = {
+    "abs": (1, 1),
+    "sqrt": (1, 1),
+    "min": (2, 8),
+    "max": (2, 8),
+    "table": (3, 3),
+}
 
 
 @dataclass(frozen=True)
@@ -103,10 +111,21 @@ def _check(node: ast.AST) -> None:
             if not least <= len(arguments) <= most:
                 count = f"{least}" if least == most else f"{least} to {most}"
                 raise ValueError(f"{name} takes {count} arguments")
+            if name == "table":
+                _check(arguments[0])
+                _check_table(arguments[1], arguments[2])
+                return
             for argument in arguments:
                 _check(argument)
         case _:
             raise ValueError(f"{ast.unparse(node)!r} is not allowed")
+
+
+def _check_table(xs: ast.AST, ys: ast.AST) -> None:
+    if not (isinstance(xs, ast.List) and isinstance(ys, ast.List) and len(xs.elts) == len(ys.elts) > 0):
+        raise ValueError("table takes x and two lists of the same length")
+    for entry in (*xs.elts, *ys.elts):
+        _check(entry)
 
 
 def _evaluate(node: ast.AST, numbers: Mapping[str, Any]) -> Any:
@@ -122,6 +141,8 @@ def _evaluate(node: ast.AST, numbers: Mapping[str, Any]) -> Any:
         case ast.BinOp(left=left, op=op, right=right):
             # NumPy's division, which does not raise.
             return np.asarray(_BINARY[type(op)](np.asarray(_evaluate(left, numbers)), _evaluate(right, numbers)))
+        case ast.List(elts=entries):
+            return [_evaluate(entry, numbers) for entry in entries]
         case ast.Call(func=ast.Name(id=name), args=arguments):
             return _FUNCTIONS[name](*[_evaluate(argument, numbers) for argument in arguments])
     raise ValueError(f"{ast.unparse(node)!r} is not allowed")
