@@ -146,7 +146,7 @@ def test_bad_objectives_are_one_line(text: str, message: str) -> None:
 )
 def test_objectives_about_something_else_are_refused(text: str, message: str) -> None:
     script = parse_script(
-        '[parameters]\nleg = { value = 0.8, least = 0.7, most = 0.9 }\nfree = 1.0\n[[row]]\nname = "stand"', "s.toml"
+        '[parameters]\nbend = { value = 0.8, least = 0.7, most = 0.9 }\nfree = 1.0\n[[row]]\nname = "stand"', "s.toml"
     )
     character = character_named("gymnast-male")
     assert isinstance(character, Gymnast)
