@@ -24,9 +24,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from echelon.agents.bicycle import Bicycle, benchmark_bicycle
-from echelon.agents.coasting import Coast, roll
-from echelon.agents.whipple import LinearBicycle, linear_bicycle
+from echelon.agents.riders.bicycle import Bicycle, benchmark_bicycle
+from echelon.agents.riders.coasting import Coast, roll
+from echelon.agents.riders.whipple import LinearBicycle, linear_bicycle
 from echelon.benchmarks.bicycle import critical_speeds, simulated_eigenvalues
 
 PUSHED_AT = np.array([3.0, 5.0, 8.0])  # [m/s]

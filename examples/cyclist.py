@@ -25,7 +25,7 @@ from typing import Any, cast
 import numpy as np
 from PIL import Image
 
-from echelon.agents.cyclist import Cyclist
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.export.camera import View
 from echelon.export.pictures import render_still
 from echelon.recording import Cast, Recording

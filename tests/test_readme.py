@@ -16,7 +16,7 @@ import pytest
 import typer
 
 import echelon
-from echelon.agents.script import maneuver_names, parse_script
+from echelon.agents.gymnasts.script import maneuver_names, parse_script
 from echelon.cli.commands import app
 from echelon.scenario import Scenario
 from echelon.scenario.files import scenario_names

@@ -16,9 +16,9 @@ from dataclasses import fields
 from importlib import resources
 from pathlib import Path
 
-from echelon.agents.bicycle import Bicycle, racing_bicycle
 from echelon.agents.hopper import hopper_model
-from echelon.agents.rider_body import RiderParameters, cyclist_model
+from echelon.agents.riders.bicycle import Bicycle, racing_bicycle
+from echelon.agents.riders.body import RiderParameters, cyclist_model
 from echelon.agents.sdfast import read_sdfast
 from echelon.errors import InputError
 from echelon.warp_kernels.model import Model, ModelError

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 
-from echelon.agents.cyclist import Cyclist
-from echelon.agents.gymnast import gymnast
+from echelon.agents.gymnasts.gymnast import gymnast
 from echelon.agents.hopper import Hopper
 from echelon.agents.point_mass import PointMass
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.errors import InputError
 from echelon.warp_kernels.character import Character
 

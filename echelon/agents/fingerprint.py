@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from echelon.agents.gymnast import GAINS, SPINE_GAINS, Gymnast
-from echelon.agents.script import Script
+from echelon.agents.gymnasts.gymnast import GAINS, SPINE_GAINS, Gymnast
+from echelon.agents.gymnasts.script import Script
 
 DIGITS = 8
 """Significant digits that count: the last ones of a scaled body may differ between machines."""

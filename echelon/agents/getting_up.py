@@ -26,11 +26,11 @@ from typing import Protocol
 import numpy as np
 
 from echelon.agents import hopper
-from echelon.agents.bicycle import FRONT_SPEED, REAR_SPEED
-from echelon.agents.cyclist import Cyclist
 from echelon.agents.hopper import Hopper
-from echelon.agents.pedalling import CADENCE, HIGHEST_GEAR, LOWEST_GEAR, PEAK_TIME
-from echelon.agents.rider_body import CRANK
+from echelon.agents.riders.bicycle import FRONT_SPEED, REAR_SPEED
+from echelon.agents.riders.body import CRANK
+from echelon.agents.riders.cyclist import Cyclist
+from echelon.agents.riders.pedalling import CADENCE, HIGHEST_GEAR, LOWEST_GEAR, PEAK_TIME
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.reference import Body
 

@@ -5,7 +5,7 @@ run it: float32 lanes, semi-implicit Euler, tyres that give. At each speed four 
 lean rate or steer rate. What follows is watched at even intervals, and the 4 x 4 matrix T that takes each look at
 (lean, steer, and their rates) to the next is fitted to all four by least squares. If they move as x' = A x, then
 T = exp(A t), so the eigenvalues of A are the logarithms of those of T over t. Nothing is taken from the model that is
-tested, and the published eigenvalues come from its linearised equations in closed form (`echelon.agents.whipple`).
+tested, and the published eigenvalues come from its linearised equations in closed form (`agents.riders.whipple`).
 
 At first the tyres ring; that dies out within a tenth of a second and is not looked at.
 
@@ -26,9 +26,9 @@ from rich.table import Table
 from rich.text import Text
 from scipy.optimize import linear_sum_assignment
 
-from echelon.agents.bicycle import Bicycle, BicycleParameters, benchmark_bicycle
-from echelon.agents.coasting import roll
-from echelon.agents.whipple import LinearBicycle, in_order, linear_bicycle
+from echelon.agents.riders.bicycle import Bicycle, BicycleParameters, benchmark_bicycle
+from echelon.agents.riders.coasting import roll
+from echelon.agents.riders.whipple import LinearBicycle, in_order, linear_bicycle
 
 Progress = Callable[[int, int], None]
 

@@ -25,8 +25,8 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from echelon.agents.cyclist import Cyclist
-from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.agents.servo import ServoedBody
 from echelon.benchmarks.compile_time import compile_time
 from echelon.benchmarks.engine_report import LARGEST_STEP, SAME_STEP, print_table

@@ -8,9 +8,9 @@ import numpy as np
 
 from echelon.agents.bodies import load_body
 from echelon.agents.characters import character_named
-from echelon.agents.cyclist import Cyclist
-from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.hopper import Hopper
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.agents.servo import ServoedBody
 from echelon.benchmarks.gymnast_run import STANDING_STRIDE, GymnastRun
 from echelon.benchmarks.riding_run import RIDING_STRIDE, RidingRun, riding_ground

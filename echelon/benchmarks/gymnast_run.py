@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from echelon.agents.gymnast import Gymnast
-from echelon.agents.script import load_script
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.script import load_script
 from echelon.benchmarks.sanity import Verdict, fault_of_states
 from echelon.benchmarks.timed_engine import ROUND_FRAMES, Stride, bound_engine, flat_ground, timed_round
 from echelon.warp_kernels.program import Integrator

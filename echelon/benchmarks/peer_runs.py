@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from echelon.agents import hopper
-from echelon.agents.cyclist import Cyclist
-from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.agents.servo import ServoedBody
 from echelon.benchmarks.engine_runs import JUDGED_AGENTS, flight_states
 from echelon.benchmarks.gymnast_peer import GymnastPeer

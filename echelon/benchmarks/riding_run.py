@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from echelon.agents.cyclist import Cyclist
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.benchmarks.sanity import Verdict, judge_riding, lean_of, spring_gaps
 from echelon.benchmarks.timed_engine import ROUND_FRAMES, Stride, bound_engine, timed_round
 from echelon.terrain.road import RoadSurfaces, RoadTerrain

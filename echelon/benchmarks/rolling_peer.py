@@ -22,11 +22,11 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from echelon.agents import cyclist
-from echelon.agents.bicycle import FRONT_SPEED, REAR_ANGLE, REAR_SPEED, REAR_WHEEL
-from echelon.agents.cyclist import Cyclist
-from echelon.agents.pedalling import CADENCE
-from echelon.agents.rider_body import CRANK, SIDES
+from echelon.agents.riders import cyclist
+from echelon.agents.riders.bicycle import FRONT_SPEED, REAR_ANGLE, REAR_SPEED, REAR_WHEEL
+from echelon.agents.riders.body import CRANK, SIDES
+from echelon.agents.riders.cyclist import Cyclist
+from echelon.agents.riders.pedalling import CADENCE
 from echelon.benchmarks.mujoco_peer import CoordinateOrder, Coupling, JointSpring, peer_model, without_log
 from echelon.benchmarks.riding_run import RIDING_SPEED
 from echelon.benchmarks.sanity import Verdict, judge_rolling, spring_gaps

@@ -18,7 +18,7 @@ from echelon.warp_kernels.model import Model
 def shipped() -> dict[str, dict[str, str]]:
     """What ships: for "scenarios", "maneuvers", "courses", "bodies", "characters" each name and a line about it."""
     from echelon.agents.bodies import body_names, load_body
-    from echelon.agents.script import load_script, maneuver_names
+    from echelon.agents.gymnasts.script import load_script, maneuver_names
     from echelon.terrain.course import course_names, course_path
 
     return {
@@ -37,7 +37,7 @@ def describe(what: str) -> tuple[dict[str, Any], str]:
         InputError: There is no such thing, or it is damaged.
     """
     from echelon.agents.bodies import body_names, load_body
-    from echelon.agents.script import maneuver_names
+    from echelon.agents.gymnasts.script import maneuver_names
 
     path = Path(what)
     if what in scenario_names():
@@ -70,7 +70,7 @@ def _describe_scenario(scenario: Scenario) -> tuple[dict[str, Any], str]:
 
 def _describe_maneuver(name: str) -> tuple[dict[str, Any], str]:
     """A maneuver's data, and the text of its file."""
-    from echelon.agents.script import parse_script, script_text
+    from echelon.agents.gymnasts.script import parse_script, script_text
 
     text, source = script_text(name)
     script = parse_script(text, source)

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from echelon.agents.gymnast import Gymnast
-from echelon.agents.gymnast_measures import MEASURES
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.measures import MEASURES
 from echelon.errors import InputError
 from echelon.recording import Recording
 from echelon.scenario import Scenario

@@ -15,8 +15,8 @@ from functools import lru_cache
 import numpy as np
 
 from echelon.agents.characters import character_named
-from echelon.agents.gymnast import Gymnast, gymnast
-from echelon.agents.gymnast_body import Sex
+from echelon.agents.gymnasts.body import Sex
+from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
 from echelon.scenario import CastSettings, Scenario
 from echelon.warp_kernels.character import Character
 from echelon.warp_kernels.frame import Engine

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from echelon.agents.cyclist import Cyclist
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.flocking.group import Group
 from echelon.flocking.herd import Herd
 from echelon.flocking.referee import Referee

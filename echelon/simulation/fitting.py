@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from echelon.agents.fingerprint import fingerprint, misfit
-from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.scenario import Scenario
 from echelon.simulation.casts import casts_of
 from echelon.simulation.roles import roles_of, with_scripts

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.ranks import Ranks
 from echelon.recording import EVENT_DTYPE, EVENT_NAMES, Cast, Recording, RecordingWriter
 from echelon.scenario import Scenario

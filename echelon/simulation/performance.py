@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.scenario import WorldSettings
 from echelon.terrain.flat import FlatTerrain
 from echelon.warp_kernels.character import Population

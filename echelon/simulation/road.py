@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from echelon.agents.cyclist import Cyclist
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.flocking.peloton import Peloton
 from echelon.flocking.road_obstacles import obstacle_outline
 from echelon.flocking.road_riders import UNFINISHED

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from echelon.agents.gymnast import Gymnast
-from echelon.agents.gymnast_measures import MEASURES
-from echelon.agents.script import Script, parse_script, script_text
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.measures import MEASURES
+from echelon.agents.gymnasts.script import Script, parse_script, script_text
 from echelon.errors import InputError
 from echelon.scenario import PerformanceSettings, Scenario, ScriptSettings
 from echelon.settings import suggestion

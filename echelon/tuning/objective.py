@@ -52,9 +52,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from echelon.agents.formulas import Formula, formula
-from echelon.agents.gymnast import Gymnast
-from echelon.agents.script import Script
+from echelon.agents.gymnasts.formulas import Formula, formula
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.script import Script
 from echelon.errors import InputError
 from echelon.settings import SettingError, Within, adopt, read, shown, suggestion
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from echelon.agents.script import Parameter
+from echelon.agents.gymnasts.script import Parameter
 from echelon.errors import InputError
 from echelon.export.picture_files import checked_path
 from echelon.export.plot_page import DOTS_PER_INCH, FAINT, INK, PAGE, RED, STEEL, SUFFIXES, finish, write_page

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from echelon.agents.script import Parameter
+from echelon.agents.gymnasts.script import Parameter
 from echelon.errors import InputError
 
 PACKAGE = "cmaes"

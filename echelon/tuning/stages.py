@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from echelon.agents.script import Script
+from echelon.agents.gymnasts.script import Script
 from echelon.tuning.folder import Batch, TuningFolder
 from echelon.tuning.objective import Objective, Stage
 from echelon.tuning.search import BoxSearch, usual_population

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.gymnast import Gymnast
-from echelon.agents.script import Script
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.script import Script
 from echelon.simulation.performance import Performance
 from echelon.tuning.judging import Watched, costs, successes
 from echelon.tuning.objective import CONSTANTS, Objective, Stage

@@ -12,9 +12,9 @@ from typing import Any, get_args
 
 from echelon.agents.characters import character_named
 from echelon.agents.fingerprint import fingerprint, misfit
-from echelon.agents.gymnast import Gymnast, gymnast
-from echelon.agents.gymnast_body import Sex
-from echelon.agents.script import Script, parse_script, script_text
+from echelon.agents.gymnasts.body import Sex
+from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
+from echelon.agents.gymnasts.script import Script, parse_script, script_text
 from echelon.errors import InputError
 from echelon.export.picture_files import replacing
 from echelon.tuning.folder import PICTURE, TuningFolder

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from echelon.agents.fingerprint import fingerprint, misfit
-from echelon.agents.gymnast import Gymnast, gymnast
-from echelon.agents.script import parse_script
+from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
+from echelon.agents.gymnasts.script import parse_script
 from echelon.warp_kernels.reference import Body
 
 MALE = gymnast("male")

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from echelon.agents.bicycle import Bicycle, TyreParameters, benchmark_bicycle
-from echelon.agents.whipple import linear_bicycle
+from echelon.agents.riders.bicycle import Bicycle, TyreParameters, benchmark_bicycle
+from echelon.agents.riders.whipple import linear_bicycle
 from echelon.benchmarks.bicycle import (
     critical_speeds,
     matched,

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from echelon.agents.cyclist import Cyclist
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.benchmarks.riding_run import (
     HALF_WIDTH,
     RIDING_SPEED,

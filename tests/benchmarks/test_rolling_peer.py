@@ -7,9 +7,9 @@ import pytest
 
 mujoco = pytest.importorskip("mujoco")
 
-from echelon.agents.bicycle import FRONT_TYRE, REAR_ANGLE, REAR_TYRE  # noqa: E402 (only where MuJoCo is)
-from echelon.agents.cyclist import Cyclist  # noqa: E402
-from echelon.agents.rider_body import CRANK  # noqa: E402
+from echelon.agents.riders.bicycle import FRONT_TYRE, REAR_ANGLE, REAR_TYRE  # noqa: E402 (only where MuJoCo is)
+from echelon.agents.riders.body import CRANK  # noqa: E402
+from echelon.agents.riders.cyclist import Cyclist  # noqa: E402
 from echelon.benchmarks.mujoco_peer import CoordinateOrder, Coupling, peer_model  # noqa: E402
 from echelon.benchmarks.peer_runs import start_peer  # noqa: E402
 from echelon.benchmarks.rolling_peer import RollingPeer, joint_springs  # noqa: E402

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from echelon.agents.bodies import load_body
-from echelon.agents.cyclist import Cyclist
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.benchmarks.engine_runs import flight_states
 from echelon.benchmarks.sanity import (
     judge_flight,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from echelon.agents.cyclist import Cyclist
+from echelon.agents.riders.cyclist import Cyclist
 from echelon.recording import EVENT_DTYPE, EVENT_NAMES, Actor, Cast
 from echelon.terrain.course import Course, LandSettings, ScenerySettings
 

@@ -8,7 +8,7 @@ import pytest
 
 from echelon.agents.characters import character_named
 from echelon.agents.fingerprint import fingerprint
-from echelon.agents.gymnast import Gymnast
+from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.scenario import Scenario
 from echelon.simulation.fitting import misfits
 

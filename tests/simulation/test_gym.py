@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from echelon.agents.gymnast import Gymnast
-from echelon.agents.gymnast_measures import MEASURES
-from echelon.agents.script import parse_script
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.measures import MEASURES
+from echelon.agents.gymnasts.script import parse_script
 from echelon.errors import InputError
 from echelon.recording import Recording, layout
 from echelon.scenario import Scenario

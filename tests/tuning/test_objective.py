@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from echelon.agents.characters import character_named
-from echelon.agents.gymnast import Gymnast
-from echelon.agents.script import parse_script
+from echelon.agents.gymnasts.formulas import formula
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.script import parse_script
 from echelon.errors import InputError
-from echelon.agents.formulas import formula
 from echelon.tuning.judging import Watched, cost, costs, successes
 from echelon.tuning.objective import Condition, Objective, Stage, Term, load_objective, objective_names, parse_objective
 
@@ -162,7 +162,7 @@ def test_all_means_every_parameter_with_bounds() -> None:
 
 
 def test_those_that_ship_fit_their_scripts() -> None:
-    from echelon.agents.script import load_script
+    from echelon.agents.gymnasts.script import load_script
 
     for name in objective_names():
         objective = load_objective(name)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from echelon.agents.characters import character_named
-from echelon.agents.gymnast import Gymnast
-from echelon.agents.script import parse_script
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.script import parse_script
 from echelon.simulation.performance import Performance
 from echelon.tuning.objective import parse_objective
 from echelon.tuning.trials import Trials

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from echelon.agents.script import load_script
+from echelon.agents.gymnasts.script import load_script
 from echelon.cli.commands import run
 from echelon.errors import InputError
 from echelon.tuning import TuningProgress, TuningResult, tune

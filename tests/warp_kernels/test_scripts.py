@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from echelon.agents.characters import character_named
-from echelon.agents.gymnast import Gymnast
-from echelon.agents.script import parse_script
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.script import parse_script
 from echelon.simulation.performance import Performance, padded
 from echelon.warp_kernels.reference_run import ReferenceRun
 from echelon.warp_kernels.scripts import path_now

@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from echelon.agents.characters import character_named
-from echelon.agents.gymnast import Gymnast, gymnast
-from echelon.agents.gymnast_body import FOOT_SITES, TOE_SITES, site_points
-from echelon.agents.gymnast_posture import positions_of
-from echelon.agents.script import Script, load_script
+from echelon.agents.gymnasts.body import FOOT_SITES, TOE_SITES, site_points
+from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
+from echelon.agents.gymnasts.posture import positions_of
+from echelon.agents.gymnasts.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.published import DIRECTIONS, published_rows
 from echelon.benchmarks.thesis.rows import Measured

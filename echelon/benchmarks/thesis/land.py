@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.gymnast import Gymnast, gymnast
-from echelon.agents.gymnast_body import FOOT_SITES, TOE_SITES, site_points
-from echelon.agents.gymnast_channels import CHANNELS
-from echelon.agents.gymnast_posture import positions_of
-from echelon.agents.script import Script
+from echelon.agents.gymnasts.body import FOOT_SITES, TOE_SITES, site_points
+from echelon.agents.gymnasts.channels import CHANNELS
+from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
+from echelon.agents.gymnasts.posture import positions_of
+from echelon.agents.gymnasts.script import Script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.leap import SEXES, arrivals, gymnast_of, script_of, stands
 from echelon.benchmarks.thesis.published import published_rows

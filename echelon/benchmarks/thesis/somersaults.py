@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from echelon.agents.characters import character_named
-from echelon.agents.gymnast import Gymnast, gymnast
-from echelon.agents.script import Script, load_script
+from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
+from echelon.agents.gymnasts.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.published import published_rows
 from echelon.benchmarks.thesis.rows import Measured, Published

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.airborne import airborne_population
 from echelon.agents.characters import character_named
-from echelon.agents.gymnast import Gymnast
-from echelon.agents.poses import inertia_tensor, poses
-from echelon.agents.script import parse_script
+from echelon.agents.gymnasts.airborne import airborne_population
+from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.poses import inertia_tensor, poses
+from echelon.agents.gymnasts.script import parse_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.published import published_rows
 from echelon.benchmarks.thesis.rows import Measured
