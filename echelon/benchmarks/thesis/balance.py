@@ -11,14 +11,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from echelon.agents.characters import character_named
-from echelon.agents.gymnasts.body import FOOT_SITES, TOE_SITES, site_points
 from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
 from echelon.agents.gymnasts.posture import positions_of
 from echelon.agents.gymnasts.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
-from echelon.benchmarks.thesis.published import DIRECTIONS, published_rows
-from echelon.benchmarks.thesis.rows import Measured
+from echelon.benchmarks.thesis.published import DIRECTIONS, published_rows, rows_by_body
+from echelon.benchmarks.thesis.rows import Measured, Published
+from echelon.benchmarks.thesis.trials import STILL, gymnast_of, points_of_soles, speed_of, trials
 from echelon.simulation.performance import Performance
 from echelon.terrain.incline import InclineTerrain
 from echelon.warp_kernels.character import Population
@@ -29,48 +28,17 @@ SLOPE_STEP = 0.5  # [deg]
 STEEPEST = 45.0  # [deg]
 SLOPE_TRIMS = (-0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
 """Offsets of the centre of mass, uphill or down, that are tried on each slope: the thesis tuned them by hand [m]."""
-STILL = 0.05  # who stands has a centre of mass slower than this [m/s]
-
-
-def trials(
-    character: Gymnast,
-    script: Script,
-    values: Sequence[Mapping[str, float]],
-    settings: FidelitySettings,
-    *,
-    people: Population | None = None,
-    terrain: InclineTerrain | None = None,
-    places: np.ndarray | None = None,
-) -> Performance:
-    """Gymnasts who each follow a script with values of its own, ready to start."""
-    frame_rate = 30
-    steps = settings.steps_per_second or character.steps_per_second
-    substeps = round(steps / frame_rate)
-    finer = max(round(steps / character.steps_per_second), 1)
-    return Performance(
-        character,
-        [script.table(character.body, one) for one in values],
-        people=people,
-        terrain=terrain,
-        places=places,
-        frame_rate=frame_rate,
-        substeps=substeps,
-        tick=character.steps_per_tick * finer,
-        threads=settings.threads or 0,
-    )
 
 
 def standing(performance: Performance) -> np.ndarray:
     """Who has not fallen and is at rest, shape [agents], bool."""
-    speed = np.sqrt(sum(performance.now(name) ** 2 for name in ("vx", "vy", "vz")))
-    return (performance.now("fallen") < 0.5) & (speed < STILL)
+    speed = speed_of({name: performance.now(name) for name in ("vx", "vy", "vz")})
+    return standing_through(performance) & (speed < STILL)
 
 
 def toe_touch(settings: FidelitySettings) -> list[Measured]:
     """Figure 7.2: bending to the toes and back, with balance and without."""
-    character, script = character_named("gymnast-female"), load_script("toe-touch")
-    assert isinstance(character, Gymnast)
-    run = trials(character, script, [{"balance": 1.0}, {"balance": 0.0}], settings)
+    run = trials(gymnast_of("female"), load_script("toe-touch"), [{"balance": 1.0}, {"balance": 0.0}], settings)
     run.run(9.0)
     stood = standing(run)
     with_balance, without = published_rows("balance-toe-touch")
@@ -81,10 +49,8 @@ def knee_bend(settings: FidelitySettings) -> list[Measured]:
     """Figure 7.4: hips down to a height over the ground, on flat feet, the centre of mass inside the support."""
     found: list[Measured] = []
     script = load_script("knee-bend")
-    for body in ("male", "female"):
-        character = character_named(f"gymnast-{body}")
-        assert isinstance(character, Gymnast)
-        rows = [row for row in published_rows("balance-knee-bend") if row.body == body]
+    for body, rows in rows_by_body("balance-knee-bend").items():
+        character = gymnast_of(body)
         height = next(row.thesis for row in rows if row.quantity == "height of the hips")
         assert height is not None
         depths = [height - ankle for ankle in np.arange(-0.02, 0.081, 0.01)]
@@ -106,12 +72,6 @@ def standing_through(run: Performance) -> np.ndarray:
     return run.now("fallen") < 0.5
 
 
-def points_of_soles(character: Gymnast, q: np.ndarray) -> np.ndarray:
-    """The points of both soles [m], shape [points, 3]."""
-    names = {name for sites in (FOOT_SITES, TOE_SITES) for of_side in sites.values() for name in of_side}
-    return np.array([point for name, point in site_points(character.body, q).items() if name in names])
-
-
 def margin(points: np.ndarray, center: np.ndarray) -> float:
     """How far inside the convex hull of points the centre of mass is, seen from above [m]; negative outside."""
     from scipy.spatial import ConvexHull
@@ -123,37 +83,31 @@ def margin(points: np.ndarray, center: np.ndarray) -> float:
 def offsets(settings: FidelitySettings) -> list[Measured]:
     """Figure 7.5: the largest offset of the centre of mass that is stood, in eight directions."""
     found: list[Measured] = []
-    for body in ("male", "female"):
-        character = character_named(f"gymnast-{body}")
-        assert isinstance(character, Gymnast)
-        found += _offsets("balance-offset", character, {"body": body}, settings)
+    for body, rows in rows_by_body("balance-offset").items():
+        found += _offsets(gymnast_of(body), rows, settings)
     return found
 
 
 def backpacks(settings: FidelitySettings) -> list[Measured]:
     """Figure 7.6: the same with a backpack."""
     found: list[Measured] = []
-    for mass in (2.0, 4.0):
-        found += _offsets("balance-backpack", gymnast("female", backpack=mass), {"backpack [kg]": mass}, settings)
+    rows = published_rows("balance-backpack")
+    for mass in sorted({row.number("backpack [kg]") for row in rows}):
+        carried = [row for row in rows if row.number("backpack [kg]") == mass]
+        found += _offsets(gymnast("female", backpack=mass), carried, settings)
     return found
 
 
-def _offsets(
-    experiment: str, character: Gymnast, which: Mapping[str, float | str], settings: FidelitySettings
-) -> list[Measured]:
+def _offsets(character: Gymnast, rows: Sequence[Published], settings: FidelitySettings) -> list[Measured]:
     sizes = np.arange(OFFSET_STEP, LARGEST_OFFSET + 1e-9, OFFSET_STEP)
-    asked = [(math.radians(direction), size) for direction in DIRECTIONS for size in sizes]
-    values = [{"com_x": size * math.cos(a), "com_y": size * math.sin(a)} for a, size in asked]
-    run = trials(character, load_script("sway"), values, settings)
+    run = _swaying(character, "com", sizes, settings)
     run.run(10.0)
     stood = standing(run).reshape(len(DIRECTIONS), -1)
     reached = np.hypot(run.now("com_x"), run.now("com_y")).reshape(stood.shape)
     found: list[Measured] = []
-    for row in published_rows(experiment):
-        if any((row.body if key == "body" else row.given[key]) != value for key, value in which.items()):
-            continue
+    for row in rows:
         direction = DIRECTIONS.index(row.number("direction [deg]"))
-        count = int(np.argmin(np.append(stood[direction], False)))
+        count = _before_the_first_fall(stood[direction])
         if row.quantity == "largest offset asked for":
             found.append(Measured(row, float(sizes[count - 1]) if count else 0.0))
         else:
@@ -161,29 +115,42 @@ def _offsets(
     return found
 
 
+def _swaying(character: Gymnast, parameter: str, sizes: np.ndarray, settings: FidelitySettings) -> Performance:
+    """Gymnasts to whom something is done along the ground, for each of `DIRECTIONS` one of each size, ready to start.
+
+    Args:
+        character: Who.
+        parameter: Of the script, less the axis that its name ends with.
+        sizes: How much.
+        settings: How to run them.
+    """
+    asked = [(math.radians(direction), size) for direction in DIRECTIONS for size in sizes]
+    values = [{f"{parameter}_x": size * math.cos(a), f"{parameter}_y": size * math.sin(a)} for a, size in asked]
+    return trials(character, load_script("sway"), values, settings)
+
+
+def _before_the_first_fall(stood: np.ndarray) -> int:
+    """How many trials in a row were stood, from the first, shape [trials]."""
+    return int(np.argmin(np.append(stood, False)))
+
+
 def pushes(settings: FidelitySettings) -> list[Measured]:
     """Figure 7.7: the largest push on the sternum that is stood, in eight directions."""
     forces = np.arange(PUSH_STEP, LARGEST_PUSH + 1e-9, PUSH_STEP)
     found: list[Measured] = []
-    for body in ("male", "female"):
-        character = character_named(f"gymnast-{body}")
-        assert isinstance(character, Gymnast)
-        asked = [(math.radians(direction), force) for direction in DIRECTIONS for force in forces]
-        values = [{"push_x": force * math.cos(a), "push_y": force * math.sin(a)} for a, force in asked]
-        run = trials(character, load_script("sway"), values, settings)
+    for body, rows in rows_by_body("balance-push").items():
+        run = _swaying(gymnast_of(body), "push", forces, settings)
         run.run(11.0)
         stood = standing(run).reshape(len(DIRECTIONS), -1)
-        for row in published_rows("balance-push"):
-            if row.body == body:
-                count = int(np.argmin(np.append(stood[DIRECTIONS.index(row.number("direction [deg]"))], False)))
-                found.append(Measured(row, float(forces[count - 1]) if count else 0.0))
+        for row in rows:
+            count = _before_the_first_fall(stood[DIRECTIONS.index(row.number("direction [deg]"))])
+            found.append(Measured(row, float(forces[count - 1]) if count else 0.0))
     return found
 
 
 def slopes(settings: FidelitySettings) -> list[Measured]:
     """Section 7.3: the steepest slope that the male stands on, the offset of the centre of mass tuned for each."""
-    character, script = character_named("gymnast-male"), load_script("stand-on-slope")
-    assert isinstance(character, Gymnast)
+    character, script = gymnast_of("male"), load_script("stand-on-slope")
     angles = np.arange(10.0, STEEPEST + 1e-9, SLOPE_STEP)
     found: list[Measured] = []
     for row in published_rows("balance-slope"):
@@ -197,8 +164,8 @@ def slopes(settings: FidelitySettings) -> list[Measured]:
             for rise in rises
             for trim in SLOPE_TRIMS
         ]
-        stood = _on_slopes(character, script, values, settings).reshape(len(angles), -1).any(axis=1)
-        count = int(np.argmin(np.append(stood, False)))
+        stood = np.asarray(_on_slopes(character, script, values, settings).reshape(len(angles), -1).any(axis=1))
+        count = _before_the_first_fall(stood)
         note = "" if count else f"does not stand at {angles[0]:g} deg"
         found.append(Measured(row, float(angles[count - 1]) if count else None, note))
     return found

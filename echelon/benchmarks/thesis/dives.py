@@ -12,15 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.characters import character_named
 from echelon.agents.gymnasts.body import site_points
 from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.published import published_rows
 from echelon.benchmarks.thesis.rows import Measured, Published
+from echelon.benchmarks.thesis.trials import gymnast_of, in_frame, trials
 from echelon.simulation.gym import leaning
-from echelon.simulation.performance import Performance
 from echelon.terrain.platform import PlatformTerrain
 from echelon.warp_kernels.character import Population
 
@@ -92,20 +91,18 @@ def dive(
         values: Parameters that differ from the script's, for each.
         settings: How to run them.
     """
-    steps = settings.steps_per_second or character.steps_per_second
-    performance = Performance(
+    run = trials(
         character,
-        [script.table(character.body, one) for one in values],
+        script,
+        values,
+        settings,
         people=divers(character, len(values)),
         terrain=PlatformTerrain.of(HEIGHT, edge=(edge_behind(character), 0.0)),
         places=np.tile([0.0, 0.0, HEIGHT], (len(values), 1)),
         frame_rate=FRAME_RATE,
-        substeps=round(steps / FRAME_RATE),
-        tick=character.steps_per_tick * max(round(steps / character.steps_per_second), 1),
-        threads=settings.threads or 0,
     )
-    seen = dict(performance.run(SECONDS, [*WATCHED, "q"]))
-    performance.close()
+    seen = run.run(SECONDS, [*WATCHED, "q"])
+    run.close()
     return _judged(character, seen)
 
 
@@ -121,8 +118,7 @@ def edge_behind(character: Gymnast) -> float:
 
 
 def _judged(character: Gymnast, seen: Mapping[str, np.ndarray]) -> Dives:
-    frames, count = seen["fallen"].shape
-    agents = np.arange(count)
+    frames = len(seen["fallen"])
     # The last moment at which the feet carried anything: some hop a little in their crouch.
     loaded = seen["unloaded"] < 1.0 / FRAME_RATE
     liftoff = np.minimum(frames - np.argmax(loaded[::-1], axis=0), frames - 1)
@@ -132,12 +128,11 @@ def _judged(character: Gymnast, seen: Mapping[str, np.ndarray]) -> Dives:
     wet = (over_water < 0.0) & (np.arange(frames)[:, None] > liftoff)
     entered = left & wet.any(0) & (seen["fallen"].max(0) < 0.5)
     after = np.maximum(np.where(wet.any(0), wet.argmax(0), frames - 1), 1)
-    above, beneath = over_water[after - 1, agents], over_water[after, agents]
+    above, beneath = in_frame(over_water, after - 1), in_frame(over_water, after)
     part = np.clip(above / np.where(above > beneath, above - beneath, 1.0), 0.0, 1.0)
 
     def at_entry(name: str) -> np.ndarray:
-        values = seen[name]
-        return (1.0 - part) * values[after - 1, agents] + part * values[after, agents]
+        return (1.0 - part) * in_frame(seen[name], after - 1) + part * in_frame(seen[name], after)
 
     return Dives(
         liftoff=np.where(left, (liftoff + 1) / FRAME_RATE, np.nan),
@@ -145,9 +140,9 @@ def _judged(character: Gymnast, seen: Mapping[str, np.ndarray]) -> Dives:
         somersault=at_entry("somersault"),
         twist=at_entry("twist"),
         lean=at_entry("lean"),
-        momentum=seen["momentum_y"][liftoff, agents],
+        momentum=in_frame(seen["momentum_y"], liftoff),
         momentum_at_entry=at_entry("momentum_y"),
-        away=-seen["vx"][liftoff, agents],
+        away=-in_frame(seen["vx"], liftoff),
         highest=seen["com_height"].max(0),
         clearance=_clearance(character, seen["q"], liftoff, after),
     )
@@ -175,10 +170,8 @@ def _dives(settings: FidelitySettings) -> list[Measured]:
     found: list[Measured] = []
     for name, maneuver in DIVES.items():
         own = [row for row in rows if row.given["dive"] == name]
-        character = character_named(f"gymnast-{own[0].body}")
-        assert isinstance(character, Gymnast)
         script = load_script(maneuver)
-        dives = dive(character, script, [{}, *script.varied(DISTURBED, SEED)], settings)
+        dives = dive(gymnast_of(own[0].body), script, [{}, *script.varied(DISTURBED, SEED)], settings)
         found += _measured(own, dives)
     return found
 

@@ -10,18 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.characters import character_named
 from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.published import published_rows
 from echelon.benchmarks.thesis.rows import Measured
-from echelon.simulation.performance import Performance
+from echelon.benchmarks.thesis.trials import arrivals, first_frame, gymnast_of, in_frame, rests_on_feet, trials
 
 SECONDS = 6.3  # from standing to three seconds after the landing, and a little [s]
 FRAME_RATE = 60
-STANDS_AFTER = 3.0  # from touchdown, one is balanced then or not [s]
-STILL = 0.05  # who stands has a centre of mass slower than this [m/s]
 WHOLE_TURN = 0.3  # by which the turn may differ from a whole one [rad]
 DISTURBED, SEED = 128, 5
 """How many trials with other hip angles at liftoff and timings, and what they are drawn from."""
@@ -74,67 +71,36 @@ def perform(
         values: Parameters that differ from the script's, for each.
         settings: How to run them.
     """
-    steps = settings.steps_per_second or character.steps_per_second
-    performance = Performance(
-        character,
-        [script.table(character.body, one) for one in values],
-        frame_rate=FRAME_RATE,
-        substeps=round(steps / FRAME_RATE),
-        tick=character.steps_per_tick * max(round(steps / character.steps_per_second), 1),
-        threads=settings.threads or 0,
+    run = trials(character, script, values, settings, frame_rate=FRAME_RATE)
+    seen = run.run(SECONDS, WATCHED)
+    highest, hardest = run.now("highest"), run.now("hardest")
+    run.close()
+    liftoff, hands, release, touchdown = (
+        arrivals(script, seen, row) for row in ("flight", "hands", "return", "absorb")
     )
-    seen = performance.run(SECONDS, WATCHED)
-    highest, hardest = performance.now("highest"), performance.now("hardest")
-    performance.close()
-    frames = {name: _first_frame(script, seen, name) for name in ("flight", "hands", "return", "absorb")}
-    times = {
-        name: np.where(frame < 0, np.nan, _at(seen["time"] - seen["row_age"], frame)) for name, frame in frames.items()
-    }
+    on_hands, released, landed = (first_frame(script, seen, row) for row in ("hands", "return", "absorb"))
     fall = np.where(seen["fallen"][-1] > 0.5, np.argmax(seen["fallen"] > 0.5, axis=0), -1)
-    landed = frames["absorb"] >= 0
+    turned = np.abs(seen["somersault"][-1] + 2.0 * np.pi) < WHOLE_TURN  # backwards
     return Handsprings(
-        balanced=_balanced(seen, times["absorb"]),
-        fell_backwards=landed & (fall > frames["absorb"]) & (_at(seen["com_x"], fall) < 0.0),
-        liftoff=times["flight"],
-        hands=times["hands"],
-        release=times["return"],
-        touchdown=times["absorb"],
-        first=_at(seen["momentum_y"], frames["hands"] - 1),
-        second=_at(seen["momentum_y"], frames["return"]),
-        feet=_at(seen["feet_x"], frames["absorb"]),
+        balanced=turned & rests_on_feet(seen, touchdown, hands_until=touchdown),
+        fell_backwards=(landed >= 0) & (fall > landed) & (in_frame(seen["com_x"], fall) < 0.0),
+        liftoff=liftoff,
+        hands=hands,
+        release=release,
+        touchdown=touchdown,
+        first=in_frame(seen["momentum_y"], on_hands - 1),
+        second=in_frame(seen["momentum_y"], released),
+        feet=in_frame(seen["feet_x"], landed),
         highest=highest,
         peak_force=hardest,
     )
 
 
-def _first_frame(script: Script, seen: Mapping[str, np.ndarray], row: str) -> np.ndarray:
-    """The first frame in which each gymnast was in a row, shape [agents]; -1 where it never was."""
-    there = seen["row"] == script.row_names.index(row)
-    return np.where(there.any(axis=0), np.argmax(there, axis=0), -1)
-
-
-def _at(values: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """Each gymnast's value in a frame of its own, shape [agents]; the first frame's where that is negative."""
-    return np.take_along_axis(values, np.maximum(frame, 0)[None], axis=0)[0]
-
-
-def _balanced(seen: Mapping[str, np.ndarray], touchdown: np.ndarray) -> np.ndarray:
-    """Whether each stands still on its feet after one whole turn backwards, shape [agents]."""
-    time = seen["time"]
-    late = time >= touchdown + STANDS_AFTER
-    speed = np.sqrt(seen["vx"] ** 2 + seen["vy"] ** 2 + seen["vz"] ** 2)
-    still = late.any(axis=0) & np.all((speed < STILL) | ~late, axis=0)
-    turned = np.abs(seen["somersault"][-1] + 2.0 * np.pi) < WHOLE_TURN
-    on_feet = (seen["fallen"][-1] < 0.5) & (seen["hands_unloaded"][-1] > time[-1] - touchdown)
-    return still & turned & on_feet
-
-
 # ---- what was published ----------------------------------------------------------------------------------------------
 def measure(settings: FidelitySettings) -> list[Measured]:
     """Figures 8.6 and 8.7: the male's back handspring, and one that fails."""
-    character, script = character_named("gymnast-male"), load_script("back-handspring")
-    assert isinstance(character, Gymnast)
-    found = perform(character, script, [{}, FAILURE, *script.varied(DISTURBED, SEED)], settings)
+    script = load_script("back-handspring")
+    found = perform(gymnast_of("male"), script, [{}, FAILURE, *script.varied(DISTURBED, SEED)], settings)
     values = {
         "ends balanced": float(found.balanced[0]),
         "falls backwards": float(found.fell_backwards[1]),

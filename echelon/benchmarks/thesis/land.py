@@ -11,16 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.gymnasts.body import FOOT_SITES, TOE_SITES, site_points
 from echelon.agents.gymnasts.channels import CHANNELS
 from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
 from echelon.agents.gymnasts.posture import positions_of
 from echelon.agents.gymnasts.script import Script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
-from echelon.benchmarks.thesis.leap import SEXES, arrivals, gymnast_of, script_of, stands
-from echelon.benchmarks.thesis.published import published_rows
+from echelon.benchmarks.thesis.leap import script_of, stands
+from echelon.benchmarks.thesis.published import published_rows, rows_by_body
 from echelon.benchmarks.thesis.rows import Measured, Published
-from echelon.simulation.performance import Performance
+from echelon.benchmarks.thesis.trials import arrivals, gymnast_of, in_frame, points_of_soles, trials
 from echelon.warp_kernels.character import Population
 
 SECONDS = 4.5  # from the start of a fall to long after the landing [s]
@@ -73,17 +72,12 @@ def in_the_air(
     targets = np.nan_to_num(table[0, : len(CHANNELS)].astype(np.float64))
     channels = dict(zip(CHANNELS, targets.tolist(), strict=True))
     q = np.tile(positions_of(body, channels), (len(speeds), 1))
-    soles = _lowest_sole(character, q[0])
+    soles = points_of_soles(character, q[0])[:, 2].min()
     q[:, 2] += height - body.center_of_mass(q[0])[2] if falls is None else falls - soles
     u = np.zeros((len(speeds), body.u_count))
     u[:, 0] = speeds
     memory = character.remembering({name: np.full(len(speeds), value) for name, value in channels.items()})
     return Population(q=q, u=u, parameters={}, memory=memory)
-
-
-def _lowest_sole(character: Gymnast, q: np.ndarray) -> float:
-    names = {name for sites in (FOOT_SITES, TOE_SITES) for of_side in sites.values() for name in of_side}
-    return min(float(point[2]) for name, point in site_points(character.body, q).items() if name in names)
 
 
 def land(
@@ -107,31 +101,22 @@ def land(
         falls: How high the soles begin, for each [m]; None where the centre of mass begins at `height`.
         height: Of the centre of mass, where `falls` is None [m].
     """
-    tables = [script.table(character.body, one) for one in values]
-    steps = settings.steps_per_second or character.steps_per_second
-    run = Performance(
-        character,
-        tables,
-        people=in_the_air(character, tables[0], speeds, falls=falls, height=height),
-        frame_rate=FINE_FRAME_RATE,
-        substeps=round(steps / FINE_FRAME_RATE),
-        tick=character.steps_per_tick * max(round(steps / character.steps_per_second), 1),
-        threads=settings.threads or 0,
-    )
+    first = script.table(character.body, values[0])
+    people = in_the_air(character, first, speeds, falls=falls, height=height)
+    run = trials(character, script, values, settings, frame_rate=FINE_FRAME_RATE, people=people)
     seen = run.run(SECONDS, WATCHED)
     run.close()
     gained = (seen["vz"][WINDOW:] - seen["vz"][:-WINDOW]) * (FINE_FRAME_RATE / WINDOW)
     peak = character.body.mass * (gained.max(axis=0) + character.body.gravity)
     touchdown = arrivals(script, seen, "absorb")
-    agents = np.arange(len(values))
     landed = np.argmax(seen["row"] >= script.row_names.index("absorb"), axis=0)
     down = (seen["row"] >= script.row_names.index("rise")) & (seen["fallen"] < 0.5)
     over = down & ((seen["com_x"] * np.sign(speeds) >= 0.0) | (np.abs(seen["vx"]) < SLOW))
     return Landings(
         balanced=np.isfinite(touchdown) & stands(seen, touchdown),
         peak=peak,
-        feet_ahead=seen["feet_x"][landed, agents],
-        speed_at_balance=np.where(over.any(axis=0), seen["vx"][np.argmax(over, axis=0), agents], np.nan),
+        feet_ahead=in_frame(seen["feet_x"], landed),
+        speed_at_balance=np.where(over.any(axis=0), in_frame(seen["vx"], np.argmax(over, axis=0)), np.nan),
         seen=seen,
     )
 
@@ -153,16 +138,14 @@ def land_drop(settings: FidelitySettings) -> list[Measured]:
     found: list[Measured] = []
     falls = np.round(np.append(np.arange(LOWEST_FALL, HIGHEST_FALL + 0.5 * FALL_STEP, FALL_STEP), 0.45), 3)
     falls = np.unique(falls)
-    for sex in SEXES:
+    for sex, rows in rows_by_body("land-drop").items():
         character = gymnast_of(sex)
         landings = falls_onto_feet(character, script_of("drop-landing", sex), falls, settings)
         weight = character.body.mass * character.body.gravity
         failed = np.flatnonzero(~landings.balanced)
         greatest = falls[failed[0] - 1] if len(failed) and failed[0] else 0.0 if len(failed) else falls[-1]
         fitted = (falls >= LAW_FALLS[0]) & (falls <= LAW_FALLS[1])
-        for row in published_rows("land-drop"):
-            if row.body != sex:
-                continue
+        for row in rows:
             if row.quantity == "greatest fall":
                 note = "" if len(failed) else "the highest that was tried"
                 found.append(Measured(row, float(greatest), note=note))
@@ -177,8 +160,7 @@ def land_drop(settings: FidelitySettings) -> list[Measured]:
 def land_speed(settings: FidelitySettings) -> list[Measured]:
     """Table 6.1: landings with horizontal speed."""
     found: list[Measured] = []
-    for sex in SEXES:
-        rows = [row for row in published_rows("land-speed") if row.body == sex]
+    for sex, rows in rows_by_body("land-speed").items():
         found += _with_speed(gymnast_of(sex), sex, rows, settings)
     return found
 
@@ -211,8 +193,7 @@ def _with_speed(character: Gymnast, sex: str, rows: Sequence[Published], setting
 def land_traces(settings: FidelitySettings) -> list[Measured]:
     """Figure 6.3: how the speed is lost."""
     found: list[Measured] = []
-    for sex in SEXES:
-        rows = [row for row in published_rows("land-traces") if row.body == sex]
+    for sex, rows in rows_by_body("land-traces").items():
         speed = rows[0].number("speed [m/s]")
         script = script_of("drop-landing", sex)
         landings = land(gymnast_of(sex), script, [{"speed": speed}], settings, speeds=np.array([speed]))

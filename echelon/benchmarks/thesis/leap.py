@@ -11,27 +11,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.characters import character_named
 from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
-from echelon.benchmarks.thesis.published import published_rows
+from echelon.benchmarks.thesis.published import rows_by_body
 from echelon.benchmarks.thesis.rows import Measured, Published
-from echelon.simulation.performance import Performance
+from echelon.benchmarks.thesis.trials import arrivals, gymnast_of, in_frame, speed_of, stays, trials
 
-SEXES = ("male", "female")
-FRAME_RATE = 30
-FINE_FRAME_RATE = 150  # where forces are followed [1/s]
 LEAP_SECONDS = 5.6  # from standing to long after a landing [s]
 TAKEOFF_SECONDS = 1.9  # until all are in the air [s]
 STANDS_AFTER = 2.5  # from touchdown, one is balanced then or not [s]
 STILL = 0.1  # who stands has a centre of mass slower than this [m/s]
 IN_THE_AIR = 0.03  # who has felt no ground for longer has left it [s]
-UPRIGHT = 0.8  # and a pelvis whose tilt has at least this cosine
+UPRIGHT = 0.8  # who stands has a pelvis whose tilt has at least this cosine
 
 WATCHED = (
-    "row", "row_age", "time", "fallen", "com_height", "vx", "vy", "vz", "upright", "momentum_y", "pitch", "hip",
-    "reaction", "feet_x", "unloaded",
+    "row", "row_age", "time", "fallen", "com_height", "vx", "vy", "vz", "upright", "momentum_y", "unloaded",
+    "peak_force", "q",
 )  # fmt: skip
 
 ROTATING_HEIGHT = 0.9  # whose crouch leaps are made from that shall turn [m]
@@ -68,35 +64,9 @@ class Leaps:
     inertia_rate: np.ndarray
 
 
-def gymnast_of(sex: str) -> Gymnast:
-    """The thesis's man or woman; one object each, so that programs are compiled once."""
-    character = character_named(f"gymnast-{sex}")
-    assert isinstance(character, Gymnast)
-    return character
-
-
 def script_of(maneuver: str, sex: str) -> Script:
     """A maneuver that ships, as it was tuned for the man or the woman."""
     return load_script(maneuver if sex == "male" else f"{maneuver}-female")
-
-
-def performed(
-    character: Gymnast,
-    script: Script,
-    values: Sequence[Mapping[str, float]],
-    settings: FidelitySettings,
-    frame_rate: int = FRAME_RATE,
-) -> Performance:
-    """Gymnasts who each follow a script with values of its own, ready to start."""
-    steps = settings.steps_per_second or character.steps_per_second
-    return Performance(
-        character,
-        [script.table(character.body, one) for one in values],
-        frame_rate=frame_rate,
-        substeps=round(steps / frame_rate),
-        tick=character.steps_per_tick * max(round(steps / character.steps_per_second), 1),
-        threads=settings.threads or 0,
-    )
 
 
 def leap(
@@ -115,9 +85,9 @@ def leap(
         settings: How to run them.
         seconds: For how long [s].
     """
-    run = performed(character, script, values, settings)
+    run = trials(character, script, values, settings)
     start = run.now("q")
-    seen = dict(run.run(seconds, (*WATCHED, "q", "peak_force")))
+    seen = run.run(seconds, WATCHED)
     end = seen["q"][-1]
     run.close()
     body = character.body
@@ -128,15 +98,14 @@ def leap(
     # One who turns too much to rise never comes to the script's flight, and leaves the ground nevertheless.
     off = (seen["row"] >= row["push"]) & (seen["unloaded"] > IN_THE_AIR) & (seen["fallen"] < 0.5)
     left, airborne = np.asarray(off.any(axis=0)), np.argmax(off, axis=0)
-    there = (airborne, np.arange(len(values)))
-    momentum = np.where(left, seen["momentum_y"][there], np.nan)
-    inertia = np.array([turning_inertia(character, q) for q in seen["q"][there]])
+    momentum = np.where(left, in_frame(seen["momentum_y"], airborne), np.nan)
+    inertia = np.array([turning_inertia(character, q) for q in in_frame(seen["q"], airborne)])
     return Leaps(
         rise=seen["com_height"].max(axis=0) - standing[:, 2],
         distance=body.center_of_mass(end.astype(np.float64))[:, 0] - standing[:, 0],
         left=left,
         balanced=left & stands(seen, touchdown),
-        liftoff=np.where(left, (seen["time"] - seen["unloaded"])[there], np.nan) - crouch,
+        liftoff=np.where(left, in_frame(seen["time"] - seen["unloaded"], airborne), np.nan) - crouch,
         push=np.max(seen["peak_force"] * pushing, axis=0),
         landing=np.max(seen["peak_force"] * landing, axis=0),
         momentum=momentum,
@@ -144,20 +113,10 @@ def leap(
     )
 
 
-def arrivals(script: Script, seen: Mapping[str, np.ndarray], row: str) -> np.ndarray:
-    """When each gymnast first arrived in a row [s], shape [agents]; NaN where it never did."""
-    there = seen["row"] == script.row_names.index(row)
-    first = np.argmax(there, axis=0)[None]
-    when = np.take_along_axis(seen["time"] - seen["row_age"], first, axis=0)[0]
-    return np.where(there.any(axis=0), when, np.nan)
-
-
 def stands(seen: Mapping[str, np.ndarray], touchdown: np.ndarray) -> np.ndarray:
     """Who is on its feet, upright and still, from `STANDS_AFTER` after touchdown to the end, shape [agents], bool."""
-    late = seen["time"] >= touchdown + STANDS_AFTER
-    speed = np.sqrt(seen["vx"] ** 2 + seen["vy"] ** 2 + seen["vz"] ** 2)
-    quiet = (speed < STILL) & (seen["upright"] > UPRIGHT) & (seen["unloaded"] <= 0.0) & (seen["fallen"] < 0.5)
-    return late.any(axis=0) & np.all(quiet | ~late, axis=0)
+    on_feet = (seen["upright"] > UPRIGHT) & (seen["unloaded"] <= 0.0) & (seen["fallen"] < 0.5)
+    return stays(on_feet & (speed_of(seen) < STILL), seen["time"], touchdown + STANDS_AFTER)
 
 
 def turning_inertia(character: Gymnast, q: np.ndarray) -> float:
@@ -190,8 +149,7 @@ def _matrix(quaternion: np.ndarray) -> np.ndarray:
 def leap_table(settings: FidelitySettings) -> list[Measured]:
     """Table 4.1: the thesis's crouches and leans, with what it leaves open tried."""
     found: list[Measured] = []
-    for sex in SEXES:
-        rows = [row for row in published_rows("leap-table") if row.body == sex]
+    for sex, rows in rows_by_body("leap-table").items():
         fixed = [{"crouch": row.number("l_hip [m]"), "lean": -row.number("hip [rad]")} for row in rows]
         found += _best(rows, _tried(sex, "vertical-leap", rows, fixed, settings), "rise")
     return found
@@ -220,23 +178,33 @@ def _best(rows: Sequence[Published], tried: Sequence[Sequence[float]], what: str
 
 def leap_command(settings: FidelitySettings) -> list[Measured]:
     """Figure 4.1: commanded heights, and whether one ends balanced."""
+    return commanded("leap-command", "vertical-leap", "height", settings)
+
+
+def commanded(experiment: str, maneuver: str, parameter: str, settings: FidelitySettings) -> list[Measured]:
+    """How high or far those came who were told to, and whether they ended balanced.
+
+    Args:
+        experiment: Of whose rows one that has no command is about the greatest command of all.
+        maneuver: What they do.
+        parameter: Of its script, "height" or "distance".
+        settings: How to run them.
+    """
     found: list[Measured] = []
-    for sex in SEXES:
-        rows = [row for row in published_rows("leap-command") if row.body == sex]
-        heights = sorted({row.number("commanded [m]") for row in rows if row.given})
-        leaps = leap(gymnast_of(sex), script_of("vertical-leap", sex), [{"height": h} for h in heights], settings)
+    for sex, rows in rows_by_body(experiment).items():
+        asked = sorted({row.number("commanded [m]") for row in rows if row.given})
+        leaps = leap(gymnast_of(sex), script_of(maneuver, sex), [{parameter: x} for x in asked], settings)
+        reached = leaps.rise if parameter == "height" else leaps.distance
         for row in rows:
-            place = heights.index(row.number("commanded [m]")) if row.given else len(heights) - 1
-            value = leaps.balanced[place] if row.quantity == "ends balanced" else leaps.rise[place]
-            found.append(Measured(row, float(value)))
+            place = asked.index(row.number("commanded [m]")) if row.given else -1
+            found.append(Measured(row, float((leaps.balanced if row.quantity == "ends balanced" else reached)[place])))
     return found
 
 
 def leap_force(settings: FidelitySettings) -> list[Measured]:
     """Figure 4.2: the force of the ground until liftoff."""
     found: list[Measured] = []
-    for sex in SEXES:
-        rows = [row for row in published_rows("leap-force") if row.body == sex]
+    for sex, rows in rows_by_body("leap-force").items():
         heights = sorted({row.number("commanded [m]") for row in rows})
         character = gymnast_of(sex)
         values = [{"height": height} for height in heights]
@@ -252,8 +220,7 @@ def leap_force(settings: FidelitySettings) -> list[Measured]:
 def leap_rotation(settings: FidelitySettings) -> list[Measured]:
     """Figure 4.5: the hip angle that is wanted at liftoff turns the body forwards or backwards."""
     found: list[Measured] = []
-    for sex in SEXES:
-        rows = [row for row in published_rows("leap-rotation") if row.body == sex]
+    for sex, rows in rows_by_body("leap-rotation").items():
         leaps = rotating_leaps(sex, [row.number("hip at liftoff [rad]") for row in rows], settings)
         for place, row in enumerate(rows):
             if leaps.left[place]:
@@ -274,8 +241,7 @@ def rotating_leaps(sex: str, hips: Sequence[float], settings: FidelitySettings) 
 def broad_table(settings: FidelitySettings) -> list[Measured]:
     """Table 4.2: the thesis's crouches, offsets and arms, with everything else as in our jump of that distance."""
     found: list[Measured] = []
-    for sex in SEXES:
-        rows = [row for row in published_rows("broad-table") if row.body == sex]
+    for sex, rows in rows_by_body("broad-table").items():
         values = [
             {
                 "by_distance": 0.0,
@@ -298,16 +264,7 @@ def broad_table(settings: FidelitySettings) -> list[Measured]:
 
 def broad_command(settings: FidelitySettings) -> list[Measured]:
     """Figure 4.4: commanded distances, and whether one ends balanced."""
-    found: list[Measured] = []
-    for sex in SEXES:
-        rows = [row for row in published_rows("broad-command") if row.body == sex]
-        distances = sorted({row.number("commanded [m]") for row in rows if row.given})
-        jumps = leap(gymnast_of(sex), script_of("broad-jump", sex), [{"distance": d} for d in distances], settings)
-        for row in rows:
-            place = distances.index(row.number("commanded [m]")) if row.given else len(distances) - 1
-            value = jumps.balanced[place] if row.quantity == "ends balanced" else jumps.distance[place]
-            found.append(Measured(row, float(value)))
-    return found
+    return commanded("broad-command", "broad-jump", "distance", settings)
 
 
 MEASURES: Mapping[str, Measure] = {

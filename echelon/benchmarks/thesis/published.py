@@ -80,6 +80,14 @@ def published_rows(experiment: str) -> tuple[Published, ...]:
     return _rows_by_experiment()[experiment]
 
 
+def rows_by_body(experiment: str) -> dict[str, list[Published]]:
+    """An experiment's rows for each body that it has any for; raises KeyError for a strange name."""
+    found: dict[str, list[Published]] = {}
+    for row in published_rows(experiment):
+        found.setdefault(row.body, []).append(row)
+    return found
+
+
 @cache
 def _rows_by_experiment() -> dict[str, tuple[Published, ...]]:
     rows = [*_leap(), *_tumble(), *_land(), *_balance(), *_maneuvers()]

@@ -12,19 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.characters import character_named
 from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
 from echelon.agents.gymnasts.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.published import published_rows
 from echelon.benchmarks.thesis.rows import Measured, Published
-from echelon.simulation.performance import Performance
+from echelon.benchmarks.thesis.trials import arrivals, gymnast_of, in_frame, rests_on_feet, trials
 
 SECONDS = 6.0  # from standing to long after the landing [s]
-FRAME_RATE = 30
-STANDS_AFTER = 3.0  # from touchdown, one is balanced then or not [s]
-STILL = 0.05  # who stands has a centre of mass slower than this [m/s]
 WHOLE_TURN = 0.2  # by which a somersault may differ from one turn [rad]
+HANDS_UNTIL = 0.1  # no hand touches the ground later than this from the start [s]
 DISTURBED, SEED = 128, 5
 """How many trials with other hip angles at liftoff and timings, and what they are drawn from."""
 WATCHED = (
@@ -69,60 +66,32 @@ def perform(
         values: Parameters that differ from the script's, for each.
         settings: How to run them.
     """
-    steps = settings.steps_per_second or character.steps_per_second
-    performance = Performance(
-        character,
-        [script.table(character.body, one) for one in values],
-        frame_rate=FRAME_RATE,
-        substeps=round(steps / FRAME_RATE),
-        tick=character.steps_per_tick * max(round(steps / character.steps_per_second), 1),
-        threads=settings.threads or 0,
-    )
-    seen = performance.run(SECONDS, WATCHED)
-    highest, hardest = performance.now("highest"), performance.now("hardest")
-    performance.close()
+    run = trials(character, script, values, settings)
+    seen = run.run(SECONDS, WATCHED)
+    highest, hardest = run.now("highest"), run.now("hardest")
+    run.close()
     liftoff, opening, touchdown, standing = (arrivals(script, seen, row) for row in ("tuck", "open", "absorb", "rise"))
     flight = (seen["time"] > liftoff) & ~(seen["time"] > touchdown)
     middle = np.argmax(seen["time"] > 0.5 * (liftoff + touchdown), axis=0)
+    turned = np.abs(np.abs(seen["somersault"][-1]) - 2.0 * math.pi) < WHOLE_TURN
     return Somersaults(
-        balanced=ends_balanced(seen, touchdown),
+        balanced=turned & rests_on_feet(seen, touchdown, hands_until=HANDS_UNTIL),
         liftoff=liftoff,
         opening=opening,
         touchdown=touchdown,
         standing=standing,
         highest=highest,
         peak_rate=np.max(np.abs(seen["pitch_rate"]) * flight, axis=0),
-        momentum=np.take_along_axis(seen["momentum_y"], middle[None], axis=0)[0],
+        momentum=in_frame(seen["momentum_y"], middle),
         peak_force=hardest,
     )
-
-
-def arrivals(script: Script, seen: Mapping[str, np.ndarray], row: str) -> np.ndarray:
-    """When each gymnast first arrived in a row [s], shape [agents]; NaN where it never did."""
-    there = seen["row"] == script.row_names.index(row)
-    first = np.argmax(there, axis=0)[None]
-    when = np.take_along_axis(seen["time"] - seen["row_age"], first, axis=0)[0]
-    return np.where(there.any(axis=0), when, np.nan)
-
-
-def ends_balanced(seen: Mapping[str, np.ndarray], touchdown: np.ndarray) -> np.ndarray:
-    """Whether each stands still on its feet after one whole turn and has touched the ground with nothing else."""
-    late = seen["time"] >= touchdown + STANDS_AFTER
-    there = late.any(axis=0)
-    speed = np.sqrt(seen["vx"] ** 2 + seen["vy"] ** 2 + seen["vz"] ** 2)
-    still = np.all((speed < STILL) | ~late, axis=0)
-    turned = np.abs(np.abs(seen["somersault"][-1]) - 2.0 * math.pi) < WHOLE_TURN
-    on_feet = (seen["fallen"][-1] < 0.5) & (seen["hands_unloaded"][-1] > seen["time"][-1] - 0.1)
-    return there & still & turned & on_feet
 
 
 # ---- what was published ----------------------------------------------------------------------------------------------
 def measure_back(settings: FidelitySettings) -> list[Measured]:
     """Figure 8.8: the male's standing back somersault."""
     script = load_script("standing-back-somersault")
-    character = character_named("gymnast-male")
-    assert isinstance(character, Gymnast)
-    found = perform(character, script, _usual_and_disturbed(script, {}), settings)
+    found = perform(gymnast_of("male"), script, _usual_and_disturbed(script, {}), settings)
     return [_tried(row, found) for row in published_rows("back-somersault")]
 
 
@@ -130,9 +99,7 @@ def measure_forward(settings: FidelitySettings) -> list[Measured]:
     """Figures 8.9 and 8.10: the female's standing forward somersault, also with a backpack."""
     script = load_script("standing-forward-somersault")
     rows = published_rows("forward-somersault")
-    character = character_named("gymnast-female")
-    assert isinstance(character, Gymnast)
-    without = perform(character, script, _usual_and_disturbed(script, {}), settings)
+    without = perform(gymnast_of("female"), script, _usual_and_disturbed(script, {}), settings)
     found: dict[tuple[float, bool], Somersaults] = {(0.0, True): without}
     for mass in sorted({row.number("backpack [kg]") for row in rows} - {0.0}):
         carrying = gymnast("female", backpack=mass)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.characters import character_named
 from echelon.agents.gymnasts.airborne import airborne_population
 from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.poses import inertia_tensor, poses
@@ -19,7 +18,7 @@ from echelon.agents.gymnasts.script import parse_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.published import published_rows
 from echelon.benchmarks.thesis.rows import Measured
-from echelon.simulation.performance import Performance
+from echelon.benchmarks.thesis.trials import gymnast_of, trials
 
 FRAME_RATE = 60
 LAYOUT_RATE = 2.5  # somersault rate before a tuck or a pike [rad/s]
@@ -169,19 +168,11 @@ def fly(
         values: Parameters of the script, for each.
     """
     script = parse_script(text, "a tumble")
-    steps = settings.steps_per_second or character.steps_per_second
-    performance = Performance(
-        character,
-        [script.table(character.body, one) for one in values],
-        people=airborne_population(character, start, len(values), momentum=(0.0, momentum, 0.0)),
-        frame_rate=FRAME_RATE,
-        substeps=round(steps / FRAME_RATE),
-        tick=character.steps_per_tick * max(round(steps / character.steps_per_second), 1),
-        threads=settings.threads or 0,
-    )
-    seen = performance.run(seconds, ["somersault", "twist", "momentum_y"])
-    q = performance.now("q")
-    performance.close()
+    people = airborne_population(character, start, len(values), momentum=(0.0, momentum, 0.0))
+    run = trials(character, script, values, settings, frame_rate=FRAME_RATE, people=people)
+    seen = run.run(seconds, ["somersault", "twist", "momentum_y"])
+    q = run.now("q")
+    run.close()
     frames = len(seen["twist"])
     return Flight(
         seconds=np.arange(1, frames + 1) / FRAME_RATE,
@@ -192,17 +183,11 @@ def fly(
     )
 
 
-def _gymnast(body: str) -> Gymnast:
-    character = character_named(f"gymnast-{body}")
-    assert isinstance(character, Gymnast)
-    return character
-
-
 def _inertias(settings: FidelitySettings) -> list[Measured]:
     """Figure 5.2: in the position that the servos hold, with no momentum."""
     found = []
     for row in published_rows("tumble-inertia"):
-        character = _gymnast(row.body)
+        character = gymnast_of(row.body)
         text = POSITION.format(pose=row.given["position"])
         flight = fly(character, text, poses()["layout"], SETTLED, settings)
         # Upright, for the axis is the body's own.
@@ -219,7 +204,7 @@ def _rates(settings: FidelitySettings) -> list[Measured]:
     for row in published_rows("tumble-rate"):
         key = (row.body, str(row.given["position"]))
         if key not in flights:
-            character = _gymnast(row.body)
+            character = gymnast_of(row.body)
             layout = poses()["layout"]
             inertia = float(inertia_tensor(character.body, _still(character, layout))[1, 1])
             text = POSITION.format(pose=key[1])
@@ -242,12 +227,16 @@ def _still(character: Gymnast, channels: Mapping[str, float]) -> np.ndarray:
     return airborne_population(character, channels).q[0]
 
 
+def _arms_parallel() -> dict[str, float]:
+    """The layout with arms that are not spread."""
+    return dict(poses()["layout"]) | {"left_shoulder_spread": 0.0, "right_shoulder_spread": 0.0}
+
+
 def _windmill(settings: FidelitySettings) -> list[Measured]:
     """Section 5.1.1: both arms go once around, forward and up, and back again."""
-    start = dict(poses()["layout"]) | {"left_shoulder_spread": 0.0, "right_shoulder_spread": 0.0}
     found = []
     for row in published_rows("tumble-windmill"):
-        flight = fly(_gymnast(row.body), WINDMILL, start, 3.5, settings)
+        flight = fly(gymnast_of(row.body), WINDMILL, _arms_parallel(), 3.5, settings)
         turned = np.degrees(flight.somersault[:, 0])
         there = turned[np.searchsorted(flight.seconds, 1.6)]
         found.append(Measured(row, float(there if "arms [deg]" in row.given else turned[-1])))
@@ -256,10 +245,9 @@ def _windmill(settings: FidelitySettings) -> list[Measured]:
 
 def _half_somersault(settings: FidelitySettings) -> list[Measured]:
     """Figure 5.4: tucked, the arms circle one and a half times; straight again, the body has turned."""
-    start = dict(poses()["layout"]) | {"left_shoulder_spread": 0.0, "right_shoulder_spread": 0.0}
     found = []
     for row in published_rows("tumble-half-somersault"):
-        flight = fly(_gymnast(row.body), HALF_SOMERSAULT, start, 2.6, settings)
+        flight = fly(gymnast_of(row.body), HALF_SOMERSAULT, _arms_parallel(), 2.6, settings)
         note = "six postures of our own: the thesis does not print its angles"
         found.append(Measured(row, float(np.degrees(flight.somersault[-1, 0])), note))
     return found
@@ -270,14 +258,14 @@ def _twists(settings: FidelitySettings) -> list[Measured]:
     found = []
     for row in published_rows("tumble-twist"):
         momentum, values = THROWS[row.body]
-        flight = fly(_gymnast(row.body), THROW, poses()["layout"], 2.0, settings, momentum=momentum, values=[values])
+        flight = fly(gymnast_of(row.body), THROW, poses()["layout"], 2.0, settings, momentum=momentum, values=[values])
         if "arms back at [s]" in row.given:
             value, note = abs(flight.rate(flight.twist, 1.3, 1.9)[0]), "mean from 1.3 to 1.9 s; a wobble remains"
         elif row.quantity == "twist rate":
             value, note = abs(flight.rate(flight.twist, 0.3, ARMS_BACK)[0]), "mean from the throw to the undoing"
         else:
             # Before anything moves, momentum alone says how fast it turns.
-            character = _gymnast(row.body)
+            character = gymnast_of(row.body)
             inertia = inertia_tensor(character.body, _still(character, poses()["layout"]))[1, 1]
             thrown = flight.rate(flight.somersault, 0.3, ARMS_BACK)[0]
             value, note = thrown * inertia / momentum, ""

@@ -7,27 +7,21 @@ import math
 import numpy as np
 import pytest
 
-from echelon.agents.characters import character_named
 from echelon.agents.gymnasts.body import leg_geometry, standing_q
 from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.posture import balanced_legs, channels_of, middle_of_feet, positions_of
 from echelon.agents.gymnasts.script import load_script, maneuver_names
-from echelon.benchmarks.thesis.balance import standing, trials
+from echelon.benchmarks.thesis.balance import standing
 from echelon.benchmarks.thesis.experiments import FidelitySettings
+from echelon.benchmarks.thesis.trials import gymnast_of, trials
 from echelon.simulation.performance import Performance
 
 SETTINGS = FidelitySettings()
 
 
-def gymnast(sex: str) -> Gymnast:
-    character = character_named(f"gymnast-{sex}")
-    assert isinstance(character, Gymnast)
-    return character
-
-
 @pytest.mark.parametrize("sex", ["male", "female"])
 def test_standing_is_quiet_and_carries_the_weight(sex: str) -> None:
-    character = gymnast(sex)
+    character = gymnast_of(sex)
     run = trials(character, load_script("stand"), [{}] * 8, SETTINGS)
     seen = run.run(5.0, ["com_x", "foot_force"])
     assert standing(run).all()
@@ -42,14 +36,14 @@ def test_pushes_of_a_quarter_of_a_second_are_stood_from_every_side(sex: str, lea
     values = [{"push_x": least * math.cos(a), "push_y": least * math.sin(a)} for a in angles]
     # Twice as strong pushes fell everybody, so the trial tells one from the other.
     values += [{name: 2.5 * force for name, force in value.items()} for value in values]
-    run = trials(gymnast(sex), load_script("sway"), values, SETTINGS)
+    run = trials(gymnast_of(sex), load_script("sway"), values, SETTINGS)
     run.run(10.0)
     assert standing(run)[:8].all()
     assert not standing(run)[8:].any()
 
 
 def test_who_falls_lies_on_the_ground_and_comes_to_rest() -> None:
-    character = gymnast("male")
+    character = gymnast_of("male")
     angles = np.arange(8) * math.pi / 4.0
     values = [{"push_x": 320.0 * math.cos(a), "push_y": 320.0 * math.sin(a)} for a in angles]
     run = trials(character, load_script("sway"), values, SETTINGS)
@@ -64,7 +58,7 @@ def test_who_falls_lies_on_the_ground_and_comes_to_rest() -> None:
 
 def test_knees_bend_to_the_thesis_s_heights_and_straighten_again() -> None:
     for sex, height in (("male", 0.52), ("female", 0.47)):
-        character = gymnast(sex)
+        character = gymnast_of(sex)
         run = trials(character, load_script("knee-bend"), [{"depth": height - 0.03}], SETTINGS)
         q = run.run(6.5, ["q"])["q"][:, 0]
         hips = character.body.link_poses(q)[:, character.body.link_index("left_upper_leg"), 2]
@@ -74,14 +68,14 @@ def test_knees_bend_to_the_thesis_s_heights_and_straighten_again() -> None:
 
 
 def test_toes_are_touched_with_balance_and_not_without() -> None:
-    run = trials(gymnast("female"), load_script("toe-touch"), [{"balance": 1.0}, {"balance": 0.0}], SETTINGS)
+    run = trials(gymnast_of("female"), load_script("toe-touch"), [{"balance": 1.0}, {"balance": 0.0}], SETTINGS)
     run.run(9.0)
     assert standing(run).tolist() == [True, False]
 
 
 def test_the_centre_of_mass_goes_where_it_is_asked_to() -> None:
     asked = (-0.04, -0.02, 0.0, 0.02, 0.04)
-    run = trials(gymnast("male"), load_script("sway"), [{"com_x": x} for x in asked], SETTINGS)
+    run = trials(gymnast_of("male"), load_script("sway"), [{"com_x": x} for x in asked], SETTINGS)
     run.run(9.0)
     assert standing(run).all()
     reached = run.now("com_x")
@@ -90,7 +84,7 @@ def test_the_centre_of_mass_goes_where_it_is_asked_to() -> None:
 
 
 def test_a_squat_s_legs_put_the_centre_of_mass_over_the_feet() -> None:
-    body = gymnast("male").body
+    body = gymnast_of("male").body
     for ahead in (-0.02, 0.0, 0.03):
         hip, knee, ankle = balanced_legs(body, leg_geometry(body), 0.6, 0.4, ahead, {})
         assert 0.4 + hip + knee + ankle == pytest.approx(0.0, abs=1e-9)
@@ -102,7 +96,7 @@ def test_a_squat_s_legs_put_the_centre_of_mass_over_the_feet() -> None:
 
 
 def test_channels_and_positions_are_the_same_posture() -> None:
-    body = gymnast("female").body
+    body = gymnast_of("female").body
     q = standing_q(body, knee_flexion=0.3)
     channels = channels_of(body, q)
     again = positions_of(
@@ -114,13 +108,13 @@ def test_channels_and_positions_are_the_same_posture() -> None:
 @pytest.mark.parametrize("name", maneuver_names())
 def test_every_maneuver_that_ships_makes_a_table(name: str) -> None:
     script = load_script(name)
-    table = script.table(gymnast(script.body if script.body in ("male", "female") else "male").body)
+    table = script.table(gymnast_of(script.body if script.body in ("male", "female") else "male").body)
     assert table.shape == (len(script.rows), Gymnast.script.row_size)
     assert script.title
 
 
 def test_a_performance_restarts_to_the_same_bytes() -> None:
-    character = gymnast("male")
+    character = gymnast_of("male")
     table = load_script("knee-bend").table(character.body)
     run = Performance(character, [table] * 3)
     run.run(0.5)

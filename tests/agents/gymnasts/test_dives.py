@@ -7,12 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from echelon.agents.characters import character_named
-from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.script import load_script
 from echelon.benchmarks.thesis.dives import DIVES, SEED, dive
 from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.published import published_rows
+from echelon.benchmarks.thesis.trials import gymnast_of
 
 SETTINGS = FidelitySettings(threads=1)
 ROWS = {
@@ -26,8 +25,7 @@ TWISTS = {row.given["dive"]: row.thesis for row in published_rows("dives") if ro
 @pytest.mark.parametrize("name", DIVES)
 def test_a_dive_enters_as_asked_and_so_do_disturbed_ones(name: str) -> None:
     body, somersault = ROWS[name]
-    character, script = character_named(f"gymnast-{body}"), load_script(DIVES[name])
-    assert isinstance(character, Gymnast)
+    character, script = gymnast_of(body), load_script(DIVES[name])
     dives = dive(character, script, [{}, *script.varied(23, SEED)], SETTINGS)
     good = dives.entered(math.radians(somersault or 0.0), math.radians(TWISTS[name] or 0.0))
     assert good[0]
@@ -38,15 +36,13 @@ def test_a_dive_enters_as_asked_and_so_do_disturbed_ones(name: str) -> None:
 
 
 def test_a_diver_who_does_not_leap_away_meets_the_platform() -> None:
-    character, script = character_named("gymnast-male"), load_script("inward-dive-one-and-a-half-pike")
-    assert isinstance(character, Gymnast)
+    character, script = gymnast_of("male"), load_script("inward-dive-one-and-a-half-pike")
     dives = dive(character, script, [{"crouch_x": 0.07, "fall_x": 0.08}] * 8, SETTINGS)
     assert not dives.entered(math.radians(540.0), 0.0).any()
 
 
 def test_the_opening_waits_for_rotation() -> None:
-    character, script = character_named("gymnast-male"), load_script("inward-dive-one-and-a-half-pike")
-    assert isinstance(character, Gymnast)
+    character, script = gymnast_of("male"), load_script("inward-dive-one-and-a-half-pike")
     usual = script.parameters["open_at"].value
     dives = dive(character, script, [{"open_at": usual + by} for by in (-1.0, -0.5, 0.0, 0.5)], SETTINGS)
     assert (np.diff(dives.somersault) > 0.3).all()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from echelon.agents.characters import character_named
 from echelon.agents.gymnasts.body import HAND_SITES, site_points
 from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
 from echelon.agents.gymnasts.joints import speed_index
@@ -13,6 +12,7 @@ from echelon.agents.gymnasts.posture import positions_of
 from echelon.agents.gymnasts.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.handspring import FAILURE, Handsprings, perform
+from echelon.benchmarks.thesis.trials import gymnast_of
 from echelon.simulation.performance import Performance
 from echelon.warp_kernels.contact import JointForces
 
@@ -21,9 +21,7 @@ DISTURBED = 38
 
 @pytest.fixture(scope="module")
 def character() -> Gymnast:
-    found = character_named("gymnast-male")
-    assert isinstance(found, Gymnast)
-    return found
+    return gymnast_of("male")
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,8 @@ import pytest
 from echelon.agents.gymnasts.gymnast import gymnast
 from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.land import falls_onto_feet, growth, land
-from echelon.benchmarks.thesis.leap import gymnast_of, script_of
+from echelon.benchmarks.thesis.leap import script_of
+from echelon.benchmarks.thesis.trials import gymnast_of
 
 SETTINGS = FidelitySettings()
 GREATEST = {"male": 1.15, "female": 0.92}

@@ -8,7 +8,8 @@ import pytest
 from echelon.agents.gymnasts.body import leg_geometry
 from echelon.agents.gymnasts.script import leg_angles, parse_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings
-from echelon.benchmarks.thesis.leap import gymnast_of, leap, rotating_leaps, script_of
+from echelon.benchmarks.thesis.leap import leap, rotating_leaps, script_of
+from echelon.benchmarks.thesis.trials import gymnast_of
 
 SETTINGS = FidelitySettings()
 HALVED = FidelitySettings(steps_per_second=2400)

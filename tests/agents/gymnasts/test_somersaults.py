@@ -8,9 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from echelon.agents.characters import character_named
-from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.script import Script, load_script
+from echelon.benchmarks.thesis.trials import gymnast_of
 from echelon.simulation.performance import Performance
 
 SOMERSAULTS = {"standing-back-somersault": -1.0, "standing-forward-somersault": 1.0}
@@ -26,8 +25,7 @@ WATCHED = (
 def performed(request: pytest.FixtureRequest) -> tuple[float, Script, Mapping[str, np.ndarray]]:
     """Its sense, the script, and what was seen of the usual one (first) and of disturbed ones."""
     script = load_script(request.param)
-    character = character_named(f"gymnast-{script.body}")
-    assert isinstance(character, Gymnast)
+    character = gymnast_of(script.body)
     values = [{}, *script.varied(DISTURBED, 3)]
     performance = Performance(character, [script.table(character.body, one) for one in values])
     seen = performance.run(SECONDS, WATCHED)

@@ -7,25 +7,18 @@ import math
 import numpy as np
 import pytest
 
-from echelon.agents.characters import character_named
 from echelon.agents.gymnasts.airborne import airborne_population
 from echelon.agents.gymnasts.channels import CHANNELS
-from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.poses import inertia_tensor, poses
 from echelon.agents.gymnasts.posture import positions_of
 from echelon.agents.gymnasts.script import parse_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, run_thesis_benchmark
+from echelon.benchmarks.thesis.trials import gymnast_of
 from echelon.benchmarks.thesis.tumble import MEASURES, POSITION, fly
 from echelon.errors import InputError
 from echelon.warp_kernels.reference_run import ReferenceRun
 
 SETTINGS = FidelitySettings(threads=1)
-
-
-def gymnast(sex: str) -> Gymnast:
-    character = character_named(f"gymnast-{sex}")
-    assert isinstance(character, Gymnast)
-    return character
 
 
 @pytest.mark.parametrize(
@@ -40,12 +33,12 @@ def gymnast(sex: str) -> Gymnast:
     ],
 )
 def test_positions_have_the_inertias_of_the_thesis(sex: str, pose: str, inertia: float, near: float) -> None:
-    body = gymnast(sex).body
+    body = gymnast_of(sex).body
     assert inertia_tensor(body, positions_of(body, poses()[pose]))[1, 1] == pytest.approx(inertia, rel=near)
 
 
 def test_the_inertia_tensor_is_about_the_centre_and_turns_with_the_body() -> None:
-    body = gymnast("male").body
+    body = gymnast_of("male").body
     q = positions_of(body, poses()["thrown"])
     upright = inertia_tensor(body, q)
     # Another way: links as points with inertias of their own.
@@ -73,7 +66,7 @@ def test_the_inertia_tensor_is_about_the_centre_and_turns_with_the_body() -> Non
 def test_poses_name_channels_and_rows_may_change_them() -> None:
     for channels in poses().values():
         assert set(channels) <= set(CHANNELS)
-    body = gymnast("male").body
+    body = gymnast_of("male").body
     rows = "[[row]]\npose = 'tuck'\nchannels = { knee = 1.0 }\n"
     row = parse_script(rows, "x").table(body)[0]
     assert row[CHANNELS.index("left_hip")] == pytest.approx(poses()["tuck"]["left_hip"])
@@ -84,7 +77,7 @@ def test_poses_name_channels_and_rows_may_change_them() -> None:
 
 @pytest.mark.parametrize("sex", ["male", "female"])
 def test_those_who_start_in_the_air_have_the_momentum_and_the_height_that_was_asked(sex: str) -> None:
-    character = gymnast(sex)
+    character = gymnast_of(sex)
     momentum, velocity = np.array([[3.0, -40.0, 2.0], [0.0, 20.0, 0.0]]), (1.0, 0.5, -2.0)
     people = airborne_population(character, poses()["pike"], 2, height=30.0, velocity=velocity, momentum=momentum)
     found = character.body.momentum(people.q, people.u)
@@ -103,7 +96,7 @@ def test_momentum_is_kept_better_with_a_finer_step() -> None:
     drifts = []
     for steps in (1200, 2400):
         settings = FidelitySettings(threads=1, steps_per_second=steps)
-        flight = fly(gymnast("male"), POSITION.format(pose="tuck"), poses()["layout"], 1.0, settings, momentum=55.0)
+        flight = fly(gymnast_of("male"), POSITION.format(pose="tuck"), poses()["layout"], 1.0, settings, momentum=55.0)
         drifts.append(np.abs(flight.momentum[:, 0] / flight.momentum[0, 0] - 1.0).max())
     # Semi-implicit Euler: the error is of the first order.
     assert drifts[0] < 0.006
@@ -112,7 +105,7 @@ def test_momentum_is_kept_better_with_a_finer_step() -> None:
 
 def test_a_twist_is_the_angle_about_the_long_axis_and_not_what_its_rate_adds_up_to() -> None:
     # A body that somersaults tilted by theta turns about its long axis by sin(theta) times the somersault, untwisted.
-    character = gymnast("male")
+    character = gymnast_of("male")
     q = positions_of(character.body, poses()["layout"])
     tilt, turns = 0.2, np.linspace(0.0, 3.0, 40)
     memory = {name: np.array([value]) for name, value in character.memory.items()}
