@@ -30,8 +30,9 @@ ALLOWED: dict[str, set[str]] = {
     "sweeping": GROUND | MIDDLE | {"simulation"},
     "tuning": GROUND | MIDDLE | {"simulation"},
     "benchmarks": GROUND | MIDDLE | {"simulation"},
+    "play": GROUND | MIDDLE | {"simulation"},
     "__main__": {"cli"},
-    "cli": GROUND | MIDDLE | {"simulation", "runs", "sweeping", "tuning", "benchmarks"},
+    "cli": GROUND | MIDDLE | {"simulation", "runs", "sweeping", "tuning", "benchmarks", "play"},
 }
 
 

@@ -439,10 +439,10 @@ def test_a_folder_that_is_none(tmp_path: Path) -> None:
         ("\ud83d".encode("utf-8", "surrogatepass"), "damaged"),
         ("[1, 2]", "not the manifest of a recording"),
         ('{"format": "something else"}', "not the manifest of a recording"),
-        ('{"format": "echelon recording", "version": 3}', "version = 3: this Echelon reads version 2"),
+        ('{"format": "echelon recording", "version": 2}', "version = 2: this Echelon reads version 3"),
         ('{"format": "echelon recording"}', "version = None"),
-        ('{"format": "echelon recording", "version": 2}', "is missing"),
-        ('{"format": "echelon recording", "version": 2, "frame_rate": NaN}', "damaged"),
+        ('{"format": "echelon recording", "version": 3}', "is missing"),
+        ('{"format": "echelon recording", "version": 3, "frame_rate": NaN}', "damaged"),
     ],
 )
 def test_a_damaged_manifest(copy: Path, text: str | bytes, message: str) -> None:

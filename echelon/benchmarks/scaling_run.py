@@ -27,7 +27,8 @@ from echelon.recording import Recording
 from echelon.recording.layout import chunk_frames
 from echelon.scenario import Scenario
 from echelon.simulation.cost import RunCost
-from echelon.simulation.loop import Simulation, simulate
+from echelon.simulation.loop import Simulation
+from echelon.simulation.recorded import simulate
 from echelon.simulation.scene import SceneFrames
 from echelon.warp_kernels.emit import host_lanes
 from echelon.warp_kernels.frame import ChunkArrays

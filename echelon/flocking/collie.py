@@ -1,4 +1,4 @@
-"""The collie: a rider on a bicycle whom the herd flees from, and whoever is driving."""
+"""The collie: a rider on a bicycle whom the herd flees from, and its driver: the dog, waypoints, or a person."""
 
 # pyright: reportGeneralTypeIssues=false
 # Warp turns the structs that stand in annotations here into objects of its own.
@@ -16,8 +16,12 @@ from echelon.flocking.bicycle import BODY_RADIUS, Bicycle, BicycleLimits, ride
 from echelon.flocking.drivers import DogMind, DogRules, drive_as_dog, drive_by_waypoints
 from echelon.flocking.herd import HerdArrays, herd_radius
 from echelon.flocking.perception import pen_of
+from echelon.flocking.person import no_controls, person_body, ride_on_field
 from echelon.scenario import CollieSettings, HerdSettings, WorldSettings
 from echelon.terrain.walls import wall_grid
+
+PERSON = (300.0, 85.0, 0.45)
+"""Strength [W], mass [kg] and drag area [m^2] of a person on the collie's bicycle."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,7 @@ class CollieArrays:
         bicycle: State of the bicycle.
         dog: What the dog has made up its mind about.
         command: Desired speed [m/s] and steering angle, positive to the left [rad].
+        controls: What the person on it does, by `person.CONTROLS`.
         user: Place and velocity (x, y [m], vx, vy [m/s]): what the herd sees of it.
         pose: World pose; origin on the ground halfway between the wheels, x forward, y left, z up and leaning.
     """
@@ -35,15 +40,15 @@ class CollieArrays:
     bicycle: Bicycle
     dog: DogMind
     command: wp.array[wp.vec2]
+    controls: wp.array[wp.float32]
     user: wp.array[wp.vec4]
     pose: wp.array[wp.transform]
 
 
 class Collie:
-    """A bicycle and its driver, the dog or the waypoints.
+    """A bicycle and its driver: the dog, the waypoints, or a person, whose `arrays.controls` are written each frame.
 
-    A driver gives commands and nothing else: to put somebody else on the saddle, write `arrays.command` between
-    frames and launch `enqueue_ride` alone.
+    A driver gives commands and nothing else.
 
     Attributes:
         arrays: Its state, for the herd and for recordings.
@@ -74,6 +79,7 @@ class Collie:
         self._rules = _dog_rules(herd, world, agent_count)
         self._pen = pen_of(world)
         self._walls = wall_grid(world, 2.0 * BODY_RADIUS, device)
+        self._person = person_body(*PERSON, device) if settings.driver == "person" else None
         self._waypoints: wp.array[wp.vec3] | None = None
         if settings.driver == "waypoints":
             self._waypoints = wp.array(settings.waypoints, dtype=wp.vec3, device=device)
@@ -87,7 +93,10 @@ class Collie:
             herd: What the herd found out in this frame.
         """
         a = self.arrays
-        if self._waypoints is None:
+        if self._person is not None:
+            inputs = [self._limits, self._person, a.controls, a.bicycle]
+            wp.launch(ride_on_field, dim=1, inputs=inputs, outputs=[a.command], device=self._device)
+        elif self._waypoints is None:
             inputs = [self._limits, self._rules, self._pen, herd.mind, herd.farthest, a.bicycle, a.dog]
             wp.launch(drive_as_dog, dim=1, inputs=inputs, outputs=[a.command], device=self._device)
         else:
@@ -145,6 +154,7 @@ def _arrays(settings: CollieSettings, device: wp.DeviceLike) -> CollieArrays:
         bicycle=bicycle,
         dog=dog,
         command=wp.zeros(1, dtype=wp.vec2, device=device),
+        controls=no_controls(device),
         user=wp.array([(x, y, *velocity)], dtype=wp.vec4, device=device),
         pose=wp.array([pose], dtype=wp.transform, device=device),
     )

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from echelon.flocking import bicycle, commanded, drivers, herding, marching, referee
+from echelon.flocking import bicycle, commanded, drivers, herding, marching, person, referee
 from echelon.flocking.collie import Collie
 from echelon.flocking.herd import Herd
 from echelon.flocking.referee import Referee
@@ -63,7 +63,7 @@ class Group:
         self._frame = wp.zeros(1, dtype=wp.int32, device=device)
         self._nobody_fell = wp.zeros(count, dtype=wp.int32, device=device)
         self.share = Share.whole(count)
-        self._replay = Replay((bicycle, commanded, drivers, herding, marching, neighbours, referee), device)
+        self._replay = Replay((bicycle, commanded, drivers, herding, marching, neighbours, person, referee), device)
 
     def step(
         self,

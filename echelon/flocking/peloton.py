@@ -30,6 +30,7 @@ from echelon.flocking import (
     drafting,
     grouping,
     overtaking,
+    person,
     road_following,
     road_obstacles,
     road_referee,
@@ -164,7 +165,7 @@ class Peloton:
         self._no_wish = wp.zeros(1, dtype=wp.float32, device=device)
         self.share = Share.whole(count, riders - count)
         modules = [neighbours, road_riders, grouping, overtaking, drafting, clearance, road_following, road_obstacles]
-        self._replay = Replay([*modules, road_referee, road_user, tactics, bicycle], device)
+        self._replay = Replay([*modules, road_referee, road_user, tactics, bicycle, person], device)
         self.set_frame(-1)
         self._enqueue_obstacles()
         if self.user is not None:

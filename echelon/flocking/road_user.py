@@ -9,6 +9,8 @@ the road's own bend: with y the offset, psi the angle between bicycle and road a
     curvature = bend + (omega / v)^2 (lane - y) - 2 (omega / v) (psi - lane_rate / v)
 
 Steering for a point ahead would cut corners by half a metre, into whoever rides beside.
+
+Where a person rides (`person`), there is neither plan nor wish: pedals, brake and handlebars do it all.
 """
 
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportGeneralTypeIssues=false
@@ -22,7 +24,8 @@ import math
 import numpy as np
 import warp as wp
 
-from echelon.flocking.bicycle import GRAVITY, Bicycle, BicycleLimits, angle_from, direction, ride
+from echelon.flocking.bicycle import BRAKING, GRAVITY, Bicycle, BicycleLimits, angle_from, direction, ride
+from echelon.flocking.person import BRAKES, no_controls, person_body, ride_on_road
 from echelon.flocking.road_riders import RoadRiders, RoadRules, level_tangent
 from echelon.scenario import WorldSettings
 from echelon.scenario.road import UserSettings
@@ -138,6 +141,7 @@ class RoadUser:
 
     Attributes:
         wish: How fast to ride [m/s], shape [1].
+        controls: What the person on it does, by `person.CONTROLS`, where one rides.
         seen: What others see of it: rear contact x, y [m], velocity x, y [m/s]; shape [1].
         pose: World pose; origin on the centreline's height halfway between the wheels, x forward, y left, z up and
             leaning; shape [1].
@@ -178,6 +182,9 @@ class RoadUser:
         self._bicycle = bicycle
         self._command = wp.zeros(1, dtype=wp.vec2, device=device)
         self._middle = wp.zeros(1, dtype=wp.vec4, device=device)
+        by_person = settings.by == "person"
+        self._person = person_body(settings.power, settings.mass, settings.drag_area, device) if by_person else None
+        self.controls = no_controls(device)
         self.wish = wp.zeros(1, dtype=wp.float32, device=device)
         self.seen = wp.array([(*rear, *(speed * ahead))], dtype=wp.vec4, device=device)
         self.pose = wp.zeros(1, dtype=wp.transform, device=device)
@@ -185,8 +192,12 @@ class RoadUser:
     def enqueue(self, rules: RoadRules, path: CentrelineData, riders: RoadRiders) -> None:
         """Launch what takes it from this frame to the next; can be captured in a graph."""
         device = self._device
-        inputs = [rules, self._limits, self._body, path, self.wish, riders]
-        wp.launch(steer_user, dim=1, inputs=inputs, outputs=[self._command], device=device)
+        if self._person is not None:
+            inputs = [rules, self._limits, self._person, path, self.controls, self._bicycle, riders]
+            wp.launch(ride_on_road, dim=1, inputs=inputs, outputs=[self._command], device=device)
+        else:
+            inputs = [rules, self._limits, self._body, path, self.wish, riders]
+            wp.launch(steer_user, dim=1, inputs=inputs, outputs=[self._command], device=device)
         inputs = [self._limits, self._walls, self._command, self._bicycle]
         wp.launch(ride, dim=1, inputs=inputs, outputs=[self._middle, self.pose], device=device)
         self.enqueue_place(rules, path, riders)
@@ -213,6 +224,8 @@ def _limits(settings: UserSettings, frame_rate: int) -> BicycleLimits:
     limits = BicycleLimits()
     limits.max_speed = MAX_SPEED
     limits.max_acceleration = settings.max_acceleration
+    if settings.by == "person":  # whose legs and brakes are the limit
+        limits.max_acceleration = max(settings.max_acceleration, float(BRAKES) / float(BRAKING))
     limits.max_steering = math.atan(settings.wheelbase / settings.turning_radius)
     limits.steering_rate = settings.steering_rate
     limits.wheelbase = settings.wheelbase

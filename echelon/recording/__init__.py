@@ -6,6 +6,7 @@ Frame k is at time k / frame_rate; frame 0 is the start pose. Arrays have one ro
 x y z in metres and a quaternion qx qy qz qw, of a link's frame in the world.
 """
 
+from echelon.recording.branch import branch
 from echelon.recording.layout import EVENT_DTYPE, estimate_bytes
 from echelon.recording.manifest import (
     EVENT_NAMES,
@@ -32,6 +33,7 @@ __all__ = [
     "Recording",
     "RecordingFailed",
     "RecordingWriter",
+    "branch",
     "check_place",
     "estimate_bytes",
     "is_recording",

@@ -148,6 +148,7 @@ _FRAME_ARRAYS: Sequence[tuple[str, str, tuple[str, ...], str, str]] = (
     ("frozen", "|b1", ("frame", "agent"), "", "whether its state stopped being finite"),
     ("in_corral", "<i4", ("frame",), "", "how many agents are in the corral"),
     ("actor_poses", "<f8", ("frame", "actor", "pose"), "m", "x y z qx qy qz qw of each actor in the world"),
+    ("controls", "<f4", ("frame", "control"), "", "what a person on the user's bicycle did, by control_names"),
 )
 
 
@@ -163,6 +164,7 @@ def frame_arrays(
     actor_count: int,
     measure_count: int = 0,
     shard: int | None = None,
+    control_count: int = 0,
 ) -> dict[str, ArrayLayout]:
     """The arrays with one row a frame, by name; ``shard`` agents in each of their chunks, by default all."""
     sizes = {
@@ -171,6 +173,7 @@ def frame_arrays(
         "link": link_count,
         "actor": actor_count,
         "measure": measure_count,
+        "control": control_count,
         "pose": 7,
         "xyz": 3,
         "xy": 2,

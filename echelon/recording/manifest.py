@@ -28,7 +28,7 @@ from echelon.settings import SettingError, Within, adopt, plain, read
 from echelon.warp_kernels.model import Model
 
 FORMAT = "echelon recording"
-VERSION = 2
+VERSION = 3
 PHASE_NAMES = ("flight", "loading", "compression", "thrust", "unloading", "fallen")
 EVENT_NAMES = (
     *("touchdown", "liftoff", "fall", "collision", "gate", "nonfinite", "off_road", "struck", "finish"),
@@ -126,6 +126,7 @@ class Manifest:
         agent_count: In all casts.
         shard_agents: Agents in every shard but the last.
         event_rows: Rows of a chunk of the event array.
+        control_names: What a person did in each frame; empty where nobody rode.
         scenario, world, summary: Plain data.
         state: Parts of a checkpoint, in order; empty until the first chunk.
     """
@@ -145,6 +146,7 @@ class Manifest:
     link_count: Annotated[int, Within(at_least=1)]
     phase_names: tuple[str, ...]
     measure_names: tuple[str, ...]
+    control_names: tuple[str, ...]
     event_names: tuple[str, ...]
     actors: tuple[ActorEntry, ...]
     casts: tuple[CastEntry, ...]
@@ -242,6 +244,7 @@ def manifest_frame_arrays(manifest: Manifest) -> dict[str, ArrayLayout]:
         len(manifest.actors),
         len(manifest.measure_names),
         manifest.shard_agents,
+        len(manifest.control_names),
     )
 
 

@@ -167,6 +167,7 @@ class Recording:
         actors: Who else is in the picture.
         phase_names, event_names: What the numbers of phases and kinds of event mean.
         measure_names: What the columns of ``measures`` are.
+        control_names: What those of ``controls`` are; none where nobody rode.
         summary: What the run reported; empty while it runs.
         link_poses: Of each link in the world, float64, shape [frames, agents, links, 7]. Agents with fewer
             links than the most repeat their last one.
@@ -180,6 +181,7 @@ class Recording:
         removed: Whether it has been taken away, bool,                  [frames, agents]
         in_corral: How many are in the corral, int32,                   [frames]
         actor_poses: In the world, float64,                             [frames, actors, 7]
+        controls: By ``control_names``, what a person did, float32,     [frames, controls]
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -203,6 +205,7 @@ class Recording:
         self.actors = tuple(Actor(entry.name, entry.kind) for entry in manifest.actors)
         self.phase_names = manifest.phase_names
         self.measure_names = manifest.measure_names
+        self.control_names = manifest.control_names
         self.event_names = manifest.event_names
         self.summary: dict[str, Any] = manifest.summary
 
@@ -219,6 +222,7 @@ class Recording:
         self.removed = LazyPhase(self.path, layouts["phases"], self.frame_count, self.phase_names, REMOVED_PHASE)
         self.in_corral = lazy["in_corral"]
         self.actor_poses = lazy["actor_poses"]
+        self.controls = lazy["controls"]
 
     def __repr__(self) -> str:
         size = f"{self.agent_count} agents, {self.frame_count} frames"

@@ -133,6 +133,7 @@ class RecordingWriter:
         actors: Sequence[Actor] = (),
         phase_names: Sequence[str] = PHASE_NAMES,
         measure_names: Sequence[str] = (),
+        control_names: Sequence[str] = (),
         event_names: Sequence[str] = EVENT_NAMES,
         length: int | None = None,
         ranks: Ranks | None = None,
@@ -149,6 +150,7 @@ class RecordingWriter:
             actors: Who else is in the picture.
             phase_names, event_names: What the numbers of phases and kinds of event mean.
             measure_names: What is measured of each agent in each frame.
+            control_names: What a person does in each frame; none where nobody rides.
             length: Frames in a chunk; by default up to twenty seconds, fewer for a very large crowd.
             ranks: Who write it together, all with the same arguments; None for this process alone.
 
@@ -177,6 +179,7 @@ class RecordingWriter:
             link_count=link_count,
             phase_names=tuple(phase_names),
             measure_names=tuple(measure_names),
+            control_names=tuple(control_names),
             event_names=tuple(event_names),
             actors=tuple(ActorEntry(actor.name, actor.kind) for actor in actors),
             casts=tuple(_cast_entry(cast) for cast in casts),

@@ -95,7 +95,8 @@ class CollieSettings:
     """The collie: a rider on a bicycle that goes forward only, and turns widely.
 
     Attributes:
-        driver: "dog" gathers and drives the herd by itself; "waypoints" follows `waypoints`.
+        driver: "dog" gathers and drives the herd by itself; "waypoints" follows `waypoints`;
+            "person" is for `echelon play`.
         start: Where it starts [m].
         heading: Direction it starts in, from x towards y [rad].
         start_speed: Speed it starts with [m/s].
@@ -107,7 +108,7 @@ class CollieSettings:
         steering_rate: How fast its front wheel turns [rad/s].
     """
 
-    driver: Literal["dog", "waypoints"] = "dog"
+    driver: Literal["dog", "waypoints", "person"] = "dog"
     start: Annotated[Point, Within("m", at_least=-1e5, at_most=1e5)] = (-35.0, 0.0)
     heading: Annotated[float, Within("rad", at_least=-7, at_most=7)] = 0.0
     start_speed: Annotated[float, Within("m/s", at_least=0, at_most=50)] = 0.0

@@ -160,7 +160,8 @@ class UserSettings:
     both change evenly, before the first and after the last they stay.
 
     Attributes:
-        by: What the keys count: "time" since frame 0 [s], or "distance" ridden along the road from its start [m].
+        by: What the keys count: "time" since frame 0 [s], or "distance" ridden along the road from its start
+            [m]; "person" is for `echelon play`, and of the keys only the first counts, for the start.
         keys: (time or distance, speed [m/s], offset [m]), by increasing time or distance.
         ahead: Starts so far ahead of the front row, behind it where negative [m].
         power: Sustained; on climbs this is what is left to ride with [W].
@@ -172,7 +173,7 @@ class UserSettings:
         steering_rate: How fast the front wheel turns [rad/s].
     """
 
-    by: Literal["time", "distance"] = "time"
+    by: Literal["time", "distance", "person"] = "time"
     keys: Annotated[tuple[tuple[float, float, float], ...], Within(at_least=-1e6, at_most=1e6)] = ((0.0, 11.0, 0.0),)
     ahead: Annotated[float, Within("m", at_least=-1e4, at_most=1e4)] = 8.0
     power: Annotated[float, Within("W", above=0, at_most=5000)] = 360.0

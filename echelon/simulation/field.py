@@ -13,6 +13,7 @@ import warp as wp
 from echelon.agents.riders.cyclist import Cyclist
 from echelon.flocking.group import Group
 from echelon.flocking.herd import Herd
+from echelon.flocking.person import CONTROLS
 from echelon.flocking.referee import Referee
 from echelon.recording import EVENT_NAMES, Actor
 from echelon.scenario import CrowdSettings, Scenario
@@ -45,6 +46,8 @@ class Field:
         self.terrain: Terrain = FlatTerrain.of(scenario.world, device)
         self.world: Mapping[str, Any] = world_dict(scenario.world)
         self.actors: tuple[Actor, ...] = (Actor("collie", "bicycle"),) if scenario.collie is not None else ()
+        ridden = scenario.collie is not None and scenario.collie.driver == "person"
+        self.control_names: tuple[str, ...] = CONTROLS if ridden else ()
         self.group = Group(scenario, device=device)
         self._passed: tuple[int, ...] = (0, 0)  # gates and collisions that the referee had counted before
         self._desired: wp.array | None = None
@@ -75,6 +78,10 @@ class Field:
         if self._desired is None:
             self._desired = _first_commands(engine)
         self.group.step(frame, engine.positions, engine.velocities, self._desired, engine.fallen, between)
+
+    def ride(self, controls: np.ndarray) -> None:
+        assert self.group.collie is not None
+        self.group.collie.arrays.controls.assign(controls)
 
     def tallies(self) -> dict[str, wp.array]:
         return {}

@@ -53,6 +53,7 @@ class Gym:
     """
 
     measure_names: tuple[str, ...] = ()
+    control_names: tuple[str, ...] = ()
     beyond = 0
     by_agent: frozenset[str] = frozenset()
 
@@ -171,6 +172,9 @@ class Gym:
     @property
     def finished(self) -> bool:
         return False
+
+    def ride(self, controls: np.ndarray) -> None:
+        """Nobody rides among gymnasts."""
 
     def tallies(self) -> dict[str, wp.array]:
         count = self.scenario.crowd.count

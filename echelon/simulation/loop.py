@@ -5,8 +5,7 @@
 
 Characters meet only at frame boundaries, through what the group layer sees of them there (`scene`); within a frame
 each is alone with the ground beneath it and one kernel launch carries everybody across
-(`echelon.warp_kernels.frame`). What happened streams to a recording, in chunks with the full state at the start of
-each, so that a run which is killed goes on to the same bytes.
+(`echelon.warp_kernels.frame`). What happened streams to a recording (`recorded`).
 
 Where several ranks simulate one crowd (`echelon.ranks`), each has some of the agents, and after acting all tell each
 other what others see of them: that is all that passes between them in a frame. What a scene does for everybody (the
@@ -17,26 +16,21 @@ Time is a whole number of frames; frame 0 is the start.
 
 from __future__ import annotations
 
-import colorsys
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.ranks import Ranks
-from echelon.recording import EVENT_DTYPE, EVENT_NAMES, Cast, Recording, RecordingWriter
+from echelon.recording import EVENT_NAMES
 from echelon.scenario import Scenario
 from echelon.simulation.casts import casts_of, joined_states, share_public
-from echelon.simulation.cost import PhaseClock, RunCost
+from echelon.simulation.cost import PhaseClock
 from echelon.simulation.fallen import Fallen
 from echelon.simulation.field import Field
 from echelon.simulation.gym import Gym
-from echelon.simulation.road import Road
 from echelon.simulation.roles import with_scripts
 from echelon.simulation.scene import Scene, SceneFrames
 from echelon.simulation.telling import Telling
@@ -45,11 +39,6 @@ from echelon.warp_kernels.frame import ChunkArrays, Engine
 from echelon.warp_kernels.meetings import ContactSettings
 from echelon.warp_kernels.replay import Share
 from echelon.warp_kernels.start import checked_device
-
-Progress = Callable[[int, int], None]
-"""Called with (frames done, frames at most)."""
-
-GOLDEN_RATIO = 0.6180339887498949
 
 
 class Simulation:
@@ -101,8 +90,13 @@ class Simulation:
         self.casts = casts_of(scenario)
         if scenario.performs:
             self.scene: Scene = Gym(scenario, self.casts, device)
+        elif scenario.on_road:
+            # Loaded where it is ridden on: what lays a road is a third of the time that a run takes to begin.
+            from echelon.simulation.road import Road
+
+            self.scene = Road(scenario, device, world)
         else:
-            self.scene = Road(scenario, device, world) if scenario.on_road else Field(scenario, device)
+            self.scene = Field(scenario, device)
         parts = [(cast, range(max(cast.first, first), min(cast.agents.stop, first + count))) for cast in self.casts]
         threads = scenario.engine.threads if threads is None else threads
         self.engines = tuple(self._engine_of(cast.character, part, threads, device) for cast, part in parts if part)
@@ -296,221 +290,3 @@ class Simulation:
         """Let go of threads."""
         for engine in self.engines:
             engine.close()
-
-
-def simulate(
-    scenario: Scenario,
-    *,
-    recording: str | Path,
-    threads: int | None = None,
-    progress: Progress | None = None,
-    device: str = "cpu",
-    ranks: Ranks | None = None,
-    cost: RunCost | None = None,
-) -> Recording:
-    """Run a scenario and record it.
-
-    Args:
-        scenario: What to run.
-        recording: Folder to record into; a recording that is there is replaced.
-        threads: On a CPU; 0 decides by the work there is; None leaves it to the scenario.
-        progress: Called after each frame.
-        device: A Warp device.
-        ranks: Who simulate the crowd together, each calling this with the same arguments and on a file system that all
-            see; None for this process alone.
-        cost: Gets what the run took.
-
-    Returns:
-        The recording.
-
-    Raises:
-        InputError: The folder cannot be written, or is something else.
-        RecordingFailed: Writing failed on the way; what was written can be resumed.
-    """
-    with ExitStack() as stack:
-        simulation = Simulation(scenario, threads=threads, device=device, ranks=ranks)
-        stack.callback(simulation.close)
-        writer = stack.enter_context(
-            RecordingWriter.create(
-                recording,
-                scenario=simulation.scenario.to_dict(),
-                frame_rate=scenario.frame_rate,
-                frame_limit=scenario.step_count + 1,
-                casts=_recorded_casts(simulation),
-                world=simulation.scene.world,
-                actors=simulation.scene.actors,
-                phase_names=simulation.fallen.phase_names,
-                measure_names=simulation.measure_names,
-                ranks=ranks,
-            )
-        )
-        simulation.preroll()
-        _run(simulation, writer, progress)
-        if cost is not None:
-            cost.fill_in(simulation.clock, max(e.team.size for e in simulation.engines), simulation.ranks)
-    return Recording(recording)
-
-
-def resume(
-    recording: str | Path,
-    *,
-    threads: int | None = None,
-    progress: Progress | None = None,
-    device: str = "cpu",
-    ranks: Ranks | None = None,
-    cost: RunCost | None = None,
-) -> Recording:
-    """Go on with a run that was interrupted, to the bytes that it would have had.
-
-    Args:
-        recording: Its folder.
-        threads, progress, device, ranks, cost: As for `simulate`.
-
-    Raises:
-        InputError: It is no recording, or is finished.
-        RecordingFailed: Writing failed, or this program or machine computes something else than the first did.
-    """
-    begun = Recording(recording)
-    scenario = Scenario.from_dict(begun.scenario, source=str(recording))
-    with ExitStack() as stack:
-        simulation = Simulation(scenario, threads=threads, device=device, world=begun.world, ranks=ranks)
-        stack.callback(simulation.close)
-        writer, state = RecordingWriter.reopen(recording, ranks)
-        stack.enter_context(writer)
-        if state is None:
-            simulation.preroll()
-        else:
-            simulation.load_state(state, writer.next_frame)
-        _run(simulation, writer, progress)
-        if cost is not None:
-            cost.fill_in(simulation.clock, max(e.team.size for e in simulation.engines), simulation.ranks)
-    return Recording(recording)
-
-
-def _run(simulation: Simulation, writer: RecordingWriter, progress: Progress | None) -> None:
-    """From the present frame to the end, a chunk at a time; what has been simulated is written meanwhile."""
-    total = writer.frame_limit
-    length = min(writer.chunk_frames, total)
-    chunks = simulation.bind(length)
-    own_count = sum(engine.agent_count for engine in simulation.engines)
-    while simulation.frame < total and not simulation.finished:
-        simulation.clock.start()
-        first, frozen = simulation.frame, [engine.frozen for engine in simulation.engines]
-        writer.begin_chunk(simulation.shared_state(), simulation.agent_state())
-        seen = SceneFrames.allocate(length, simulation.scene, own_count)
-        simulation.clock.lap("record")
-        count = given = 0
-        going_on = True
-        while going_on:
-            simulation.advance(count, seen)
-            count += 1
-            if progress is not None:
-                progress(simulation.frame, total)
-            going_on = count < length and simulation.frame < total and not simulation.finished
-            if count - given == writer.piece_frames or not going_on:
-                simulation.clock.start()
-                writer.extend(_frames(chunks, seen, slice(given, count), simulation.character))
-                simulation.clock.lap("record")
-                given = count
-        simulation.clock.start()
-        found = [
-            _events(chunk, engine, first, count, before)
-            for chunk, engine, before in zip(chunks, simulation.engines, frozen, strict=True)
-        ]
-        events = np.concatenate([*found, np.array(seen.events, EVENT_DTYPE)])
-        kinds = np.bincount(events["kind"], minlength=len(EVENT_NAMES))
-        for kind, number in enumerate(simulation.ranks.sum(kinds)):
-            simulation.counts[EVENT_NAMES[kind]] += int(number)
-        measures = _measures(chunks, seen, slice(count), simulation.character)
-        simulation.measure_sums += measures.sum(axis=0, dtype=np.float64)
-        writer.end_chunk(events)
-        simulation.clock.lap("record")
-    writer.finish(simulation.summary())
-    simulation.clock.seconds["write"] = writer.seconds
-
-
-def _recorded_casts(simulation: Simulation) -> list[Cast]:
-    """The casts as the recording has them, each individual in a colour of its own."""
-    tones = colors(
-        simulation.scenario.crowd.count,
-        beside_skin=any(isinstance(cast.character, Gymnast) for cast in simulation.casts),
-    )
-    return [
-        Cast(cast.name, cast.character.body, cast.first, cast.count, tones[cast.first : cast.agents.stop])
-        for cast in simulation.casts
-    ]
-
-
-def _frames(
-    chunks: Sequence[ChunkArrays], seen: SceneFrames, part: slice, character: Character
-) -> dict[str, np.ndarray]:
-    """Some frames of a chunk, of all engines, under the names that the recording has for them."""
-    names = {name: name for name in ("origins", "velocities", "phases")} | {"link_poses": "poses"}
-    frames = {name: _rows(chunks, of, part) for name, of in names.items()}
-    for name in ("contacts", "fallen", "frozen"):
-        frames[name] = _rows(chunks, name, part).view(np.bool_)
-    frames["desired_velocities"] = _velocities(_rows(chunks, "desired", part))
-    frames["measures"] = _measures(chunks, seen, part, character)
-    return frames | {"in_corral": seen.in_corral[part], "actor_poses": seen.actor_poses[part]}
-
-
-def _rows(chunks: Sequence[ChunkArrays], name: str, part: slice) -> np.ndarray:
-    """An array of some frames of a chunk, with the agents of all engines, shape [frames, agents, ...]."""
-    rows = [getattr(chunk, name)[part].numpy() for chunk in chunks]
-    return rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)
-
-
-def _velocities(desired: np.ndarray) -> np.ndarray:
-    """The first two of the commands, shape [frames, agents, 2]; zero for characters that take none."""
-    found = desired[:, :, :2]
-    missing = 2 - found.shape[2]
-    return np.pad(found, ((0, 0), (0, 0), (0, missing))) if missing else found
-
-
-def _measures(chunks: Sequence[ChunkArrays], seen: SceneFrames, part: slice, character: Character) -> np.ndarray:
-    """What is measured in some frames of a chunk, shape [frames, agents, measures]."""
-    own = _rows(chunks, "measures", part)[:, :, : len(character.records)]
-    return np.concatenate([own, seen.measures[part]], axis=2)
-
-
-def _events(chunk: ChunkArrays, engine: Engine, first: int, count: int, frozen_before: np.ndarray) -> np.ndarray:
-    """What happened in a chunk to an engine's agents, as the recording's table."""
-    character = engine.character
-    substeps = chunk.events.numpy()[:count, :, : len(character.events)]
-    frame, agent, event = _where(substeps >= 0)
-    own = np.zeros(len(frame), EVENT_DTYPE)
-    own["frame"], own["agent"], own["substep"] = frame + first, agent, substeps[frame, agent, event]
-    own["kind"] = np.array([EVENT_NAMES.index(name) for name in character.events], np.uint8)[event]
-    touches = chunk.touches.numpy()[:count]
-    frame, agent = _where(touches >= 0)
-    met = np.zeros(len(frame), EVENT_DTYPE)
-    met["frame"], met["agent"], met["substep"] = frame + first, agent, touches[frame, agent]
-    met["kind"] = EVENT_NAMES.index("contact")
-    frozen = chunk.frozen.numpy()[:count].view(np.bool_)
-    frame, agent = _where(frozen & ~np.concatenate([frozen_before[None], frozen[:-1]]))
-    lost = np.zeros(len(frame), EVENT_DTYPE)
-    lost["frame"], lost["agent"], lost["kind"] = frame + first, agent, EVENT_NAMES.index("nonfinite")
-    found = np.concatenate([own, met, lost])
-    found["agent"] += engine.first_agent
-    return found
-
-
-def _where(chosen: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Indices of what is true, along each dimension; several times as fast as `numpy.nonzero` where little is."""
-    return np.unravel_index(np.flatnonzero(chosen), chosen.shape)
-
-
-def colors(count: int, beside_skin: bool = False) -> np.ndarray:
-    """A colour for each individual that its neighbours in the list do not have: linear RGB, shape [count, 3].
-
-    Args:
-        count: How many.
-        beside_skin: Whether it is worn by people whose skin shows: none is then taken for skin.
-    """
-    # Hues a golden section apart fill the circle evenly however many there are.
-    hues = (np.arange(count) * GOLDEN_RATIO + 0.03) % 1.0
-    values = 0.95 - 0.12 * (np.arange(count) % 3)
-    if beside_skin:
-        # From crimson over blue to green, and deeper.
-        return np.array([colorsys.hsv_to_rgb(0.98 - 0.68 * h, 0.9, 0.6 * v) for h, v in zip(hues, values, strict=True)])
-    return np.array([colorsys.hsv_to_rgb(h, 0.72, v) for h, v in zip(hues, values, strict=True)])

@@ -11,6 +11,7 @@ import warp as wp
 
 from echelon.agents.riders.cyclist import Cyclist
 from echelon.flocking.peloton import Peloton
+from echelon.flocking.person import CONTROLS
 from echelon.flocking.road_obstacles import obstacle_outline
 from echelon.flocking.road_riders import UNFINISHED
 from echelon.recording import EVENT_NAMES, Actor
@@ -76,6 +77,8 @@ class Road:
             "walls": [],
         }
         self.actors: tuple[Actor, ...] = tuple(Actor(name, kind) for name, kind in self.peloton.actors)
+        ridden = scenario.user is not None and scenario.user.by == "person"
+        self.control_names: tuple[str, ...] = CONTROLS if ridden else ()
         self.beyond = int(scenario.user is not None)
         self.by_agent = frozenset(["down", *self.peloton.by_rider])
         self._down = np.zeros(scenario.crowd.count, dtype=bool)
@@ -115,6 +118,10 @@ class Road:
         commands: Any = engine.command
         self.peloton.step(frame, engine.positions, engine.velocities, commands, engine.fallen, between)
         self._down = engine.fallen.numpy() != 0
+
+    def ride(self, controls: np.ndarray) -> None:
+        assert self.peloton.user is not None
+        self.peloton.user.controls.assign(controls)
 
     def tallies(self) -> dict[str, wp.array]:
         a = self.peloton.referee.arrays

@@ -26,12 +26,14 @@ class SceneFrames:
         in_corral: How many are in, shape [frames], int32.
         actor_poses: World poses, shape [frames, actors, 7], float64.
         measures: What the scene measures of each agent, shape [frames, agents, measures], float32.
+        controls: What the person did, shape [frames, controls], float32.
         events: (frame, substep, agent, index into `EVENT_NAMES`) of what happened between agents.
     """
 
     in_corral: np.ndarray
     actor_poses: np.ndarray
     measures: np.ndarray
+    controls: np.ndarray
     events: list[tuple[int, int, int, int]]
 
     @classmethod
@@ -41,6 +43,7 @@ class SceneFrames:
             np.zeros(frames, np.int32),
             np.zeros((frames, len(scene.actors), 7)),
             np.zeros((frames, agents, len(scene.measure_names)), np.float32),
+            np.zeros((frames, len(scene.control_names)), np.float32),
             [],
         )
 
@@ -53,6 +56,7 @@ class Scene(Protocol):
         world: What there is to see, plain data, for the recording.
         actors: Who else is in the picture.
         measure_names: What it measures of each agent in each frame.
+        control_names: What a person on the user's bicycle does in each frame; none where nobody is to ride.
         beyond: How many rows its rules have beyond those of the crowd: a user's.
         by_agent: Names of those arrays of `state` that have a row for each agent of the crowd.
     """
@@ -61,6 +65,7 @@ class Scene(Protocol):
     world: Mapping[str, Any]
     actors: tuple[Actor, ...]
     measure_names: tuple[str, ...]
+    control_names: tuple[str, ...]
     beyond: int
     by_agent: frozenset[str]
 
@@ -96,6 +101,10 @@ class Scene(Protocol):
             engine: Theirs.
             between: Called when everything is seen and nothing wanted yet: for a stopwatch.
         """
+        ...
+
+    def ride(self, controls: np.ndarray) -> None:
+        """Say what the person does from this frame to the next, by `control_names`, before `step`."""
         ...
 
     def keep(self, frame: int, slot: int, frames: SceneFrames) -> None:
