@@ -70,6 +70,7 @@ class Walk:
         frames["frozen"][row] = x > 0.99
         frames["in_corral"][row] = np.count_nonzero(x < 0.2)
         frames["actor_poses"][row] = x.sum()
+        frames["controls"][row] = x[0] * np.array([1.0, -2.0, 0.5])
         # Out of order on purpose: the writer sorts.
         events = [(frame, 39 - agent, agent, int(10 * x[agent]) % 6) for agent in range(AGENTS) if x[agent] > 0.3]
         self.x = 3.9 * x * (1.0 - x)
@@ -87,6 +88,7 @@ def begin(path: Path, frames: int = FRAMES) -> RecordingWriter:
         world={"ground": {"shape": "plane", "half_size": 10.0}},
         actors=[Actor("collie", "bicycle")],
         measure_names=("power", "lean"),
+        control_names=("effort", "brake", "gear"),
         length=CHUNK,
     )
 
@@ -128,7 +130,7 @@ def walked() -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 def buffer_shapes() -> dict[str, tuple[int, ...]]:
-    layouts = recording_layout.frame_arrays(CHUNK, AGENTS, LINKS, 1, 2)
+    layouts = recording_layout.frame_arrays(CHUNK, AGENTS, LINKS, 1, 2, control_count=3)
     return {name: layout.chunk for name, layout in layouts.items()}
 
 

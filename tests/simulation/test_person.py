@@ -129,7 +129,7 @@ def test_the_herd_flees_from_a_person(tmp_path: Path) -> None:
     distance = np.linalg.norm(away, axis=1)
     wanted = np.sum(run.desired_velocities[:].mean(axis=1) * away, axis=1) / distance
     assert np.all(wanted[distance < scenario.herd.flee_distance - 1.0] > 0.0)
-    assert wanted[distance < 0.75 * scenario.herd.flee_distance].min() > 0.5
+    assert wanted[distance < 0.6 * scenario.herd.flee_distance].min() > 0.5
 
 
 # ---- takes -----------------------------------------------------------------------------------------------------------
