@@ -23,6 +23,8 @@ from echelon.cli.captures import EXAMPLES as CAPTURES_EXAMPLES
 from echelon.cli.captures import captures
 from echelon.cli.course import app as course_app
 from echelon.cli.groups import Seeds, bench_groups
+from echelon.cli.play import EXAMPLES as PLAY_EXAMPLES
+from echelon.cli.play import play
 from echelon.cli.progress import Progress, Reporter, size
 from echelon.cli.registering import Json, Quiet, command
 from echelon.cli.running import Failure, announce, check_products, make_stage, only_json, run_and_report, shot_options
@@ -214,7 +216,10 @@ RepresentationOption = Annotated[
 )
 def simulate(
     scenario: Annotated[
-        str, typer.Argument(help="Name of a scenario that ships (see `echelon list`), or a .toml file.")
+        str,
+        typer.Argument(
+            help="Name of a scenario that ships (see `echelon list`), a .toml file, or a recording to simulate again."
+        ),
     ],
     agents: Annotated[int | None, typer.Option(min=1, metavar="N", help="How many characters.")] = None,
     seconds: Annotated[float | None, typer.Option(metavar="S", help="How long to simulate, at most.")] = None,
@@ -245,18 +250,27 @@ def simulate(
     it is gone on with by `echelon resume`.
     """
     from echelon.ranks import Ranks
+    from echelon.recording import Recording, is_recording
     from echelon.scenario import Scenario
 
     overrides = list(settings or ())
     for key, value in (("crowd.count", agents), ("seconds", seconds), ("seed", seed), ("world.course", course)):
         overrides += [f"{key}={value}"] if value is not None else []
-    plan = Scenario.load(scenario, overrides)
+    controls = None
+    if is_recording(Path(scenario)):
+        again = Recording(scenario)
+        plan = Scenario.from_dict(again.scenario, source=scenario, overrides=overrides)
+        controls = again.controls[:] if again.control_names else None
+    else:
+        plan = Scenario.load(scenario, overrides)
     if device != "cpu":
         from echelon.warp_kernels.start import checked_device
 
         device = checked_device(device)
     ranks = Ranks.launched()
     folder = recording or (out.with_suffix(".recording") if out is not None else Path(f"{plan.name}.recording"))
+    if is_recording(Path(scenario)) and folder.exists() and folder.samefile(scenario):
+        raise InputError(f"{folder}: is what is to be simulated again; name another with --recording")
     reporter = Reporter(quiet or as_json or not ranks.is_first)
     if ranks.is_first:
         check_products(out, film)
@@ -266,7 +280,14 @@ def simulate(
         from echelon.simulation import simulate
 
         return simulate(
-            plan, recording=folder, threads=threads, progress=progress, device=device, ranks=ranks, cost=cost
+            plan,
+            recording=folder,
+            threads=threads,
+            progress=progress,
+            device=device,
+            ranks=ranks,
+            cost=cost,
+            controls=controls,
         )
 
     run_and_report(reporter, work, ranks, folder, plan, out, film, representation.value, as_json)
@@ -312,6 +333,7 @@ def resume(
     run_and_report(reporter, work, ranks, recording, plan, out, film, representation.value, as_json)
 
 
+command(app, "play", PLAY_EXAMPLES)(play)
 command(app, "sweep", SWEEP_EXAMPLES)(sweep)
 command(app, "tune", TUNE_EXAMPLES)(tune)
 

@@ -15,7 +15,7 @@ from echelon.export.drawn_road import DrawnRoad, drawn_road
 from echelon.export.removed import places_to_frame, removed_agents
 from echelon.export.road_scene import is_road, road_scene
 from echelon.export.shapes import Mesh, columns_mesh, fence_mesh, platform_mesh
-from echelon.recording import Recording
+from echelon.recording import Cast, Recording
 
 COLUMNS_NAME = "columns"  # what stands among the fences and is of stone
 PEN_NAME = "corral"  # the fence that has a floor of its own
@@ -142,16 +142,9 @@ class RecordedSource:
         self._recording = recording
         self.frame_rate = int(recording.frame_rate)
         self.frame_count = int(recording.frame_count)
-        self.casts = tuple(
-            DrawnCast(
-                first_agent=cast.first_agent,
-                links=tuple(parts_of(link.visuals) for link in cast.body.links),
-                colors=np.asarray(cast.colors, dtype=np.float32).reshape(-1, 3),
-            )
-            for cast in recording.casts
-        )
+        self.casts = tuple(drawn_cast(cast) for cast in recording.casts)
         self.actors = tuple(parts_of(actor_visuals(actor)) for actor in recording.actors)
-        self.world = _drawn_world(recording.world)
+        self.world = drawn_world(recording.world)
 
     def link_poses(self, first: int, last: int) -> np.ndarray:
         return np.asarray(self._recording.link_poses[first:last], dtype=np.float64)
@@ -167,6 +160,15 @@ class RecordedSource:
         return removed_agents(self._recording, slice(first, last))
 
 
+def drawn_cast(cast: Cast) -> DrawnCast:
+    """The agents of a cast as the pictures see them."""
+    return DrawnCast(
+        first_agent=cast.first_agent,
+        links=tuple(parts_of(link.visuals) for link in cast.body.links),
+        colors=np.asarray(cast.colors, dtype=np.float32).reshape(-1, 3),
+    )
+
+
 def drawn_platform(platform: Mapping[str, Any]) -> DrawnPlatform:
     """A platform as a recording or a stage has it."""
     x, y = platform["edge"]
@@ -175,7 +177,8 @@ def drawn_platform(platform: Mapping[str, Any]) -> DrawnPlatform:
     )
 
 
-def _drawn_world(world: Mapping[str, Any]) -> DrawnWorld:
+def drawn_world(world: Mapping[str, Any]) -> DrawnWorld:
+    """The world of a recording as the pictures see it."""
     if is_road(world):
         return DrawnWorld(None, (), None, drawn_road(road_scene(world)))
     ground, corral = world["ground"], world.get("corral")

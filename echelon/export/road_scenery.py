@@ -70,7 +70,7 @@ class RoadScenery:
         self._things = [_Things(things) for things in road.things]
         solid = [part.corners for part in self._parts if part.part.name != "paint"]
         self._ground = DisplayedGround(np.concatenate([np.empty((0, 3, 3)), *solid]))
-        self._skirt = _skirt([part.part for part in self._parts if part.part.name == "land"])
+        self._skirt = skirt([part.part for part in self._parts if part.part.name == "land"])
 
     def heights(self, places: np.ndarray) -> np.ndarray:
         """Heights of the ground nearest to places [m], shapes [n] and [n, 3]."""
@@ -185,8 +185,8 @@ def bisected(rows: np.ndarray, length: float) -> np.ndarray:
     return np.concatenate(done)
 
 
-def _skirt(land: list[GroundPart]) -> tuple[np.ndarray, np.ndarray]:
-    """Points and triangles from the outer edge of the land outwards, as far as can be seen [m]."""
+def skirt(land: list[GroundPart]) -> tuple[np.ndarray, np.ndarray]:
+    """Points and triangles from the outer edge of the land outwards, as far as can be seen [m]; none without land."""
     if not land:
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
     mesh = joined_meshes([part.mesh for part in land])

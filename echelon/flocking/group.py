@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from types import ModuleType
 
 import numpy as np
 import warp as wp
@@ -63,7 +64,18 @@ class Group:
         self._frame = wp.zeros(1, dtype=wp.int32, device=device)
         self._nobody_fell = wp.zeros(count, dtype=wp.int32, device=device)
         self.share = Share.whole(count)
-        self._replay = Replay((bicycle, commanded, drivers, herding, marching, neighbours, person, referee), device)
+        self._replay = Replay(self._modules(scenario), device)
+
+    def _modules(self, scenario: Scenario) -> list[ModuleType]:
+        """Those of the kernels that this scenario launches: to compile the others would take longer than these."""
+        modules = [herding, neighbours, referee]
+        if scenario.herd.mode in ("constant", "random"):
+            modules.append(commanded)
+        elif scenario.herd.mode == "march":
+            modules.append(marching)
+        if self.collie is not None:
+            modules += [bicycle, drivers, person]
+        return modules
 
     def step(
         self,

@@ -207,6 +207,10 @@ class RoadUser:
         inputs = [rules, self._limits, path, riders, self._bicycle]
         wp.launch(place_user, dim=1, inputs=inputs, outputs=[self.seen, self.pose], device=self._device)
 
+    def speed_and_steering(self) -> tuple[float, float]:
+        """Of the bicycle: speed [m/s] and angle of the front wheel, positive to the left [rad]."""
+        return float(self._bicycle.speed.numpy()[0]), float(self._bicycle.steering.numpy()[0])
+
     def state(self) -> dict[str, wp.array]:
         """What the next frame depends on, by name; the arrays themselves."""
         bicycle = self._bicycle

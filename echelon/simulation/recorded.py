@@ -75,6 +75,11 @@ class RecordedRun:
         return _rows(self._chunks, "phases", slice(self._last, self._last + 1))[0]
 
     @property
+    def actor_poses(self) -> np.ndarray:
+        """Of the frame simulated last, in the world, float64, shape [actors, 7]."""
+        return self._seen.actor_poses[self._last]
+
+    @property
     def fallen(self) -> np.ndarray:
         """Who has fallen in the frame simulated last, bool, shape [agents]."""
         return _rows(self._chunks, "fallen", slice(self._last, self._last + 1))[0].view(np.bool_)
