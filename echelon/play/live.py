@@ -12,7 +12,7 @@ import numpy as np
 from echelon.errors import InputError
 from echelon.play.controls import Controls
 from echelon.play.dashboard import dashboard, gradient, pitch
-from echelon.play.messages import Command, Pause, Restart, Save, Slow
+from echelon.play.messages import Command, Pause, Restart, Ride, Save, Slow
 from echelon.play.moments import Moment, between
 from echelon.play.pace import frames_between
 from echelon.play.takes import Take, free_folder
@@ -74,10 +74,14 @@ class Live:
             self.take.advance(self._row)
         self._advance()
         self._before = self._now
-        self._note = f"recording {self.take.folder.name}"
+        # The race does not start without its rider.
+        self._waiting = self.take.ridden
+        self._note = "take the handlebars to begin" if self._waiting else f"recording {self.take.folder.name}"
 
     # ---- what people do --------------------------------------------------------------------------------------------
     def hear(self, command: Command) -> bool:
+        if self._waiting and (isinstance(command, Ride) or command == Pause(False)):
+            self._waiting, self._note = False, f"recording {self.take.folder.name}"
         if isinstance(command, Pause):
             self._paused = command.paused
         elif isinstance(command, Slow):
@@ -109,7 +113,7 @@ class Live:
     # ---- frame by frame --------------------------------------------------------------------------------------------
     @property
     def standing_still(self) -> bool:
-        return self._paused or self.take.over
+        return self._paused or self._waiting or self.take.over
 
     @property
     def _seconds(self) -> float:
@@ -186,7 +190,7 @@ class Live:
         return {
             "frame": self.take.frame,
             "time": self._seconds,
-            "paused": self._paused,
+            "paused": self._paused or self._waiting,
             "rate": self._rate,
             "note": note,
             "ended": self.take.over,
