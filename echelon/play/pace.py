@@ -55,8 +55,8 @@ class Pace:
         now = self._clock()
         behind = now - due
         if behind > FORGIVEN:
-            self._start += behind
-            self.lost += behind
+            self._start += behind - FORGIVEN
+            self.lost += behind - FORGIVEN
         else:
             # Made up for evenly: not all missed frames at once.
             until = max(due, self._last + self._period / CATCH_UP)
