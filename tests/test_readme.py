@@ -6,6 +6,7 @@ import csv
 import importlib.util
 import re
 import shlex
+import shutil
 import subprocess
 import tomllib
 from pathlib import Path
@@ -199,11 +200,19 @@ def test_sdfast_example_is_a_body(tmp_path: Path) -> None:
     assert echelon.load_body(tmp_path / "leg.sd").link_names == ("trunk", "thigh")
 
 
+@pytest.fixture(scope="module")
+def herd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording."""
+    path = tmp_path_factory.mktemp("herd") / "herd.recording"
+    echelon.simulate("border-collie", agents=3, seconds=3, recording=path)
+    return path
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=name_of)
-def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_runs(page: Path, herd: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All Python of a page, from top to bottom, in a folder where there is a recording."""
     monkeypatch.chdir(tmp_path)
-    echelon.simulate("border-collie", agents=3, seconds=3, recording="herd.recording")
+    shutil.copytree(herd, "herd.recording")
     names: dict[str, Any] = {}
     for number, code in enumerate(blocks(page, "python")):
         exec(compile(code, f"{page.name}, block {number}", "exec"), names)

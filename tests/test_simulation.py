@@ -128,23 +128,30 @@ def same_files(a: Path, b: Path) -> bool:
     return all(filecmp.cmp(a / name, b / name, shallow=False) for name in listing)
 
 
+LONG = Scenario.load("border-collie", ["seconds=44", "until=''"])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """The recording of a run that nothing interrupts."""
+    return simulate(LONG, recording=tmp_path_factory.mktemp("whole") / "whole.recording")
+
+
 @pytest.mark.parametrize("at", [100, 700, 1290])
-def test_an_interrupted_run_goes_on_to_the_same_bytes(at: int, tmp_path: Path) -> None:
-    plan = Scenario.load("border-collie", ["seconds=44", "until=''"])
-    whole = simulate(plan, recording=tmp_path / "whole.recording")
+def test_an_interrupted_run_goes_on_to_the_same_bytes(at: int, whole: Recording, tmp_path: Path) -> None:
 
     def stop(done: int, total: int) -> None:
         if done == at:
             raise Interrupted
 
     with pytest.raises(Interrupted):
-        simulate(plan, recording=tmp_path / "part.recording", progress=stop)
+        simulate(LONG, recording=tmp_path / "part.recording", progress=stop)
     part = Recording(tmp_path / "part.recording")
     assert part.status == "running"
     assert part.frame_count <= at
     again = resume(tmp_path / "part.recording", threads=2)
     assert again.summary == whole.summary
-    assert same_files(tmp_path / "whole.recording", tmp_path / "part.recording")
+    assert same_files(whole.path, tmp_path / "part.recording")
 
 
 def test_one_that_diverges_is_frozen_and_harms_nobody(tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from echelon.errors import InputError
 
@@ -113,6 +112,9 @@ def convex_hull(points: np.ndarray, name: str = "polyhedron") -> Polyhedron:
     Raises:
         InputError: Fewer than four points, points in one plane, or numbers that are not finite.
     """
+    # Loading it takes as long as loading Warp, and most programs that load this file need no hull.
+    from scipy.spatial import ConvexHull, QhullError
+
     cloud = np.asarray(points, dtype=float).reshape(-1, 3)
     if not np.all(np.isfinite(cloud)):
         raise InputError(f"{name}: points hold a number that is not finite")

@@ -67,6 +67,8 @@ def _measure(body_name: str) -> float:
     from echelon.warp_kernels.emit import cpu_compiler_flags, host_lanes
     from echelon.warp_kernels.start import start_warp
 
+    character = character_of(body_name)
+    stride, ground = stride_of(character), ground_of(character)
     start_warp()
     options = {"enable_backward": False, "cpu_compiler_flags": cpu_compiler_flags(host_lanes())}
 
@@ -75,8 +77,6 @@ def _measure(body_name: str) -> float:
         numbers_out[wp.tid()] = 0.0  # pyright: ignore[reportIndexIssue] (an array in a kernel)
 
     wp.launch(nothing, dim=1, outputs=[wp.zeros(1, dtype=wp.float32, device="cpu")], device="cpu")
-    character = character_of(body_name)
-    stride, ground = stride_of(character), ground_of(character)
     start = time.perf_counter()
     bound_engine(character, host_lanes(), stride, "semi-implicit", ground)
     return time.perf_counter() - start

@@ -25,9 +25,20 @@ from echelon.cli.course import app as course_app
 from echelon.cli.groups import Seeds, bench_groups
 from echelon.cli.play import EXAMPLES as PLAY_EXAMPLES
 from echelon.cli.play import play
-from echelon.cli.progress import Progress, Reporter, size
+from echelon.cli.products import (
+    EXPORT_EXAMPLES,
+    PLOT_EXAMPLES,
+    RENDER_EXAMPLES,
+    RecordingFolder,
+    RepresentationChoice,
+    RepresentationOption,
+    export,
+    plot,
+    render,
+)
+from echelon.cli.progress import Progress, Reporter
 from echelon.cli.registering import Json, Quiet, command
-from echelon.cli.running import Failure, announce, check_products, make_stage, only_json, run_and_report, shot_options
+from echelon.cli.running import Failure, announce, check_products, only_json, run_and_report
 from echelon.cli.scaling import Most, Only, OutFolder, ThreadCounts, bench_scaling, refuse_options
 from echelon.cli.sweep import EXAMPLES as SWEEP_EXAMPLES
 from echelon.cli.sweep import sweep
@@ -149,35 +160,6 @@ def _top(
 Threads = Annotated[int | None, typer.Option(min=1, metavar="T", help="Threads; by default as many as are worth it.")]
 Stage = Annotated[Path | None, typer.Option("--out", "-o", metavar="FILE.usd", help="Write a USD stage.")]
 Film = Annotated[Path | None, typer.Option(metavar="FILE.mp4", help="Make a film of the scenario's shot.")]
-RecordingFolder = Annotated[Path, typer.Argument(metavar="RECORDING", help="Folder of a recording.")]
-
-
-class Representation(StrEnum):
-    """Of a crowd in a stage."""
-
-    RIG = "rig"
-    SKEL = "skel"
-    POINTS = "points"
-
-
-class RepresentationChoice(StrEnum):
-    """The same, or what fits the crowd's size."""
-
-    AUTO = "auto"
-    RIG = "rig"
-    SKEL = "skel"
-    POINTS = "points"
-
-
-class Camera(StrEnum):
-    """Which way to look."""
-
-    FOLLOW = "follow"
-    SIDE = "side"
-    OVERVIEW = "overview"
-    CORRAL = "corral"
-    ROADSIDE = "roadside"
-    HELICOPTER = "helicopter"
 
 
 Device = Annotated[
@@ -194,15 +176,6 @@ class Study(StrEnum):
     SCALING = "scaling"
     GROUPS = "groups"
     THESIS = "thesis"
-
-
-RepresentationOption = Annotated[
-    RepresentationChoice,
-    typer.Option(
-        help="rig: a transform a link; skel: UsdSkel, instanced; points: a PointInstancer a link; "
-        "auto: rig for up to 150 agents, points for more."
-    ),
-]
 
 
 # ---- simulate and resume -------------------------------------------------------------------------------------------
@@ -338,137 +311,9 @@ command(app, "sweep", SWEEP_EXAMPLES)(sweep)
 command(app, "tune", TUNE_EXAMPLES)(tune)
 
 
-# ---- what is made of a recording -----------------------------------------------------------------------------------
-@command(
-    app,
-    "export",
-    "  echelon export herd.recording --out herd.usd\n"
-    "  echelon export herd.recording --out crowd.usd --representation points\n"
-    "  echelon export herd.recording --out frame90.usda --physics 90",
-)
-def export(
-    recording: RecordingFolder,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.usd", help="The stage to write.")],
-    representation: RepresentationOption = RepresentationChoice.AUTO,
-    also: Annotated[
-        list[Representation] | None,
-        typer.Option(help="A further representation to choose from in the stage's variant set; repeatable."),
-    ] = None,
-    physics: Annotated[
-        int | None,
-        typer.Option(min=0, metavar="FRAME", help="Write instead a physics layer (UsdPhysics) of this frame."),
-    ] = None,
-    quiet: Quiet = False,
-) -> None:
-    """Write a USD stage of a recording."""
-    from echelon.recording import Recording
-
-    opened = Recording(recording)
-    reporter = Reporter(quiet)
-    if physics is not None:
-        from echelon.export.physics import write_physics
-
-        write_physics(opened, out, physics)
-    else:
-        make_stage(reporter, opened, out, representation.value, [name.value for name in also or ()])
-    reporter.say(f"wrote {out} ({size(out.stat().st_size)})")
-
-
-@command(
-    app,
-    "render",
-    "  echelon render herd.recording --out herd.mp4\n"
-    "  echelon render herd.usd --out close.mp4 --start 10 --seconds 5 --size 1280x720\n"
-    "  echelon render herd.recording --out still.png --time 12.5\n"
-    "  echelon render herd.recording --out strip.png --strip 0.5 --start 10 --count 6",
-)
-def render(
-    source: Annotated[Path, typer.Argument(metavar="RECORDING_OR_STAGE", help="A recording, or a stage made of one.")],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mp4|FILE.png", help="A film, or a picture.")],
-    strip: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="A filmstrip: snapshots so far apart, side by side.")
-    ] = None,
-    start: Annotated[float | None, typer.Option(metavar="S", help="Time of the first picture.")] = None,
-    seconds: Annotated[float | None, typer.Option(metavar="S", help="How long the film is.")] = None,
-    time_: Annotated[float | None, typer.Option("--time", metavar="S", help="Time of a still.")] = None,
-    count: Annotated[int | None, typer.Option(min=1, metavar="N", help="Snapshots of a filmstrip.")] = None,
-    fps: Annotated[float | None, typer.Option(metavar="RATE", help="Pictures a second of a film.")] = None,
-    size_: Annotated[str | None, typer.Option("--size", metavar="WxH", help="Size of a picture [pixels].")] = None,
-    camera: Annotated[Camera | None, typer.Option(help="Which way to look at it.")] = None,
-    quiet: Quiet = False,
-) -> None:
-    """Make a film, a still or a filmstrip.
-
-    Of a recording, or of a stage that was made of one. A film of a recording is of its scenario's shot unless the
-    options say otherwise.
-    """
-    from echelon.export.pictures import render_film, render_still, render_strip
-    from echelon.export.renderer import RenderingUnavailable
-    from echelon.recording import Recording
-
-    opened = Recording(source) if source.is_dir() or not source.exists() else source
-    film = out.suffix.lower() == ".mp4"
-    kind = "a film" if film else "a filmstrip" if strip is not None else "a still"
-    given = {
-        "start": start, "seconds": seconds, "time": time_, "count": count, "fps": fps,
-        "size": None if size_ is None else _parsed_size(size_), "camera": None if camera is None else camera.value,
-    }  # fmt: skip
-    options = {name: value for name, value in given.items() if value is not None}
-    unfit = set(options) - _PICTURE_OPTIONS[kind]
-    if strip is not None and film:
-        raise InputError(f"--strip: {out} is a film; a filmstrip is a .png")
-    if unfit:
-        raise InputError(f"--{min(unfit)}: not for {kind}, as {out} is to be")
-    if film and isinstance(opened, Recording):
-        shot = shot_options(opened)
-        if start is not None or seconds is not None:  # another part of the run
-            del shot["start"], shot["seconds"]
-        options = shot | options
-    reporter = Reporter(quiet)
-    try:
-        with reporter.progress(str(out), "pictures") as progress:
-            if film:
-                render_film(opened, out, progress=progress, **options)
-            elif strip is not None:
-                render_strip(opened, out, interval=strip, progress=progress, **options)
-            else:
-                render_still(opened, out, **options)
-    except RenderingUnavailable as error:
-        raise Failure(f"{out}: {error}") from None
-    reporter.say(f"wrote {out} ({size(out.stat().st_size)})")
-
-
-_PICTURE_OPTIONS = {
-    "a film": {"start", "seconds", "fps", "size", "camera"},
-    "a filmstrip": {"start", "count", "size", "camera"},
-    "a still": {"time", "size", "camera"},
-}
-
-
-def _parsed_size(text: str) -> tuple[int, int]:
-    width, times, height = text.lower().partition("x")
-    if not times or not width.isdecimal() or not height.isdecimal():
-        raise InputError(f"--size {text}: must be WIDTHxHEIGHT in pixels, as in 1280x720")
-    return int(width), int(height)
-
-
-@command(app, "plot", "  echelon plot herd.recording --out herd.png")
-def plot(
-    recording: RecordingFolder,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.png|FILE.pdf", help="The page to write.")],
-    quiet: Quiet = False,
-) -> None:
-    """Plot a run on one page.
-
-    Paths from above, speeds, hop phases, distances.
-    """
-    from echelon.export.plots import plot_run
-    from echelon.recording import Recording
-
-    plot_run(Recording(recording), out)
-    Reporter(quiet).say(f"wrote {out} ({size(out.stat().st_size)})")
-
-
+command(app, "export", EXPORT_EXAMPLES)(export)
+command(app, "render", RENDER_EXAMPLES)(render)
+command(app, "plot", PLOT_EXAMPLES)(plot)
 command(app, "captures", CAPTURES_EXAMPLES)(captures)
 
 

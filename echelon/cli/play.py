@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import signal
 import threading
 import webbrowser
@@ -10,14 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from echelon.cli.progress import Reporter
+from echelon.cli.progress import Reporter, size
 from echelon.cli.registering import Quiet
 from echelon.errors import InputError
 
 if TYPE_CHECKING:
     from echelon.play.live import Live
     from echelon.play.showing import Showing
-    from echelon.play.trainer import Trainer
+    from echelon.play.trainer.trainer import Trainer
+    from echelon.recording import Recording
 
 EXAMPLES = (
     "  echelon play border-collie\n"
@@ -133,20 +135,46 @@ def _check(
         raise InputError("--pitch: is driven beside a trainer; needs --trainer")
 
 
+def make_page(
+    reporter: Reporter,
+    recording: Recording,
+    out: Path,
+    *,
+    start: float = 0.0,
+    seconds: float | None = None,
+    fps: float | None = None,
+) -> None:
+    """Save a recording as a page to send to somebody.
+
+    Raises:
+        InputError: The package is not installed, the page cannot be written, or the recording has no such time.
+    """
+    _check_extra()
+    from echelon.play.drawing.saved_page import FRAMES_PER_SECOND, save_page
+
+    rate, count = recording.frame_rate, recording.frame_count
+    first = round(start * rate)
+    last = count if seconds is None else min(first + max(round(seconds * rate), 1), count)
+    if not 0 <= first < count:
+        raise InputError(f"--start {start:g}: must be from 0 to {(count - 1) / rate:g} s")
+    pictures = FRAMES_PER_SECOND if fps is None else max(round(fps), 1)
+    with reporter.progress(str(out), "pictures") as progress:
+        save_page(recording, out, first=first, last=last, frames_per_second=pictures, progress=progress)
+    reporter.say(f"wrote {out} ({size(out.stat().st_size)})")
+
+
 def _check_extra() -> None:
-    try:
-        import viser  # noqa: F401
-    except ModuleNotFoundError:
-        raise InputError("play: the package viser is not installed; `pip install 'echelon[play]'` adds it") from None
+    if importlib.util.find_spec("viser") is None:
+        raise InputError("the package viser is not installed; `pip install 'echelon[play]'` adds it")
 
 
 def _trainer(address: str | None, pitch: str | None, reporter: Reporter) -> Trainer | None:
     """The trainer, connected; None without one."""
     if address is None:
         return None
-    from echelon.play.machine_address import NEAREST
-    from echelon.play.pitch import DatagramPitch
-    from echelon.play.trainer import Trainer
+    from echelon.play.trainer.machine_address import NEAREST
+    from echelon.play.trainer.pitch import DatagramPitch
+    from echelon.play.trainer.trainer import Trainer
 
     output = None if pitch is None else DatagramPitch.at(pitch)
     machine = Trainer(NEAREST if address == "nearest" else address, pitch=output, say=reporter.say)

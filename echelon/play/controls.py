@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from echelon.flocking.person import CONTROLS, DEVELOPMENTS, FIRST_GEAR, STEERING_LIMIT, hands_off
-from echelon.play.messages import Command, Gear, LetGo, Ride
+from echelon.play.web.messages import Command, Gear, LetGo, Ride
 
 _AT = {name: place for place, name in enumerate(CONTROLS)}
 

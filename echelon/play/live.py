@@ -12,11 +12,11 @@ import numpy as np
 from echelon.errors import InputError
 from echelon.play.controls import Controls
 from echelon.play.dashboard import dashboard, gradient, pitch
-from echelon.play.messages import Command, Pause, Restart, Ride, Save, Slow
 from echelon.play.moments import Moment, between
 from echelon.play.pace import frames_between
 from echelon.play.takes import Take, free_folder
-from echelon.play.trainer import Trainer
+from echelon.play.trainer.trainer import Trainer
+from echelon.play.web.messages import Command, Pause, Restart, Ride, Save, Slow
 from echelon.recording import REMOVED_PHASE, Actor, Cast, RecordingFailed
 from echelon.scenario import Scenario
 from echelon.simulation.recorded import recorded_casts

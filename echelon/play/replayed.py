@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from echelon.errors import InputError
-from echelon.play.messages import Command, Play, Rate, Seek
 from echelon.play.moments import Moment, between
+from echelon.play.web.messages import Command, Play, Rate, Seek
 from echelon.recording import Recording
 
 

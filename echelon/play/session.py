@@ -9,20 +9,16 @@ The loop runs at wall-clock pace (`pace`). viser listens on the loopback address
 
 from __future__ import annotations
 
-import io
-import socket
 import threading
 from collections.abc import Callable
-from contextlib import redirect_stdout
 
-import viser
-
-from echelon.play.cameras import Cameras
-from echelon.play.front import Front
-from echelon.play.messages import ChangeView, Look
+from echelon.play.drawing.cameras import Cameras
+from echelon.play.drawing.quiet_server import close_server, open_server
+from echelon.play.drawing.view import View
 from echelon.play.pace import Pace
 from echelon.play.showing import Showing
-from echelon.play.view import View
+from echelon.play.web.front import Front
+from echelon.play.web.messages import ChangeView, Look
 
 LOOPBACK = "127.0.0.1"
 
@@ -44,8 +40,7 @@ class Session:
             port: Port to listen on, or the next free one; 0 for any.
         """
         self._showing = showing
-        with redirect_stdout(io.StringIO()):  # it announces an address that nobody is to go to
-            self._server = viser.ViserServer(host=LOOPBACK, port=_free_port(), verbose=False)
+        self._server = open_server()
         self._view = View(
             self._server,
             casts=showing.casts,
@@ -78,8 +73,7 @@ class Session:
                 self.pace.wait()
         finally:
             self.front.stop()
-            with redirect_stdout(io.StringIO()):
-                self._server.stop()
+            close_server(self._server)
             self._showing.close()
 
     def _hear(self) -> None:
@@ -102,10 +96,3 @@ class Session:
         state = {"real_time": self.pace.real_time, "slow": self.pace.slow and not self._showing.standing_still}
         self.front.tell(state | self._showing.state())
         self.pictures += 1
-
-
-def _free_port() -> int:
-    """A port on the loopback address that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        return probe.getsockname()[1]

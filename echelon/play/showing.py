@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from echelon.play.messages import Command
 from echelon.play.moments import Moment
+from echelon.play.web.messages import Command
 from echelon.recording import Actor, Cast
 
 

@@ -43,8 +43,8 @@ STEEPEST = 0.35
 CROSSING_STEP = 0.3
 """Where a road meets itself its heights may differ by this [m]: ground has one height everywhere, and no bridges."""
 
-RECENT_LIMIT = 2
-"""Courses that are kept in memory with their surfaces, the latest ones."""
+RECENT_LIMIT = 4
+"""Descriptions of courses that are kept in memory with their surfaces, the latest ones; a course has up to two."""
 
 _SAMPLING = 0.5  # [m], of arc length, at which a course is checked
 _INNER_ROOM = 0.25  # [m], radius that is left to the inner edge of the verge in the sharpest bend
@@ -304,9 +304,12 @@ class Course:
                 made = read(cls, data)
             except SettingError as error:
                 raise InputError(f"{source}: {error}") from None
-            while len(_recent) >= RECENT_LIMIT:
-                del _recent[next(iter(_recent))]
-            _recent[key] = made
+            # In full too, as a world has it that is made of this course.
+            for known in (key, json.dumps(made.to_dict(), default=repr)):
+                while len(_recent) >= RECENT_LIMIT:
+                    del _recent[next(iter(_recent))]
+                _recent[known] = made
+            return made
         return _recent[key]
 
     def to_dict(self) -> dict[str, Any]:

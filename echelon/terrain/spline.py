@@ -26,12 +26,15 @@ close by or crosses. What starts with no memory looks at every eighth sample fir
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
-from scipy.spatial import KDTree
 
 from echelon.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 wp.set_module_options({"enable_backward": False})
 
@@ -164,6 +167,9 @@ class Centreline:
 
     @cached_property
     def _tree(self) -> KDTree:
+        # Loading it takes as long as loading Warp, and a herd's person imports this file without a road.
+        from scipy.spatial import KDTree
+
         return KDTree(self.samples[: self._vertex_count, :2])
 
     @property

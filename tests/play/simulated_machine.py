@@ -21,7 +21,7 @@ from bleak.backends.scanner import AdvertisementData, BaseBleakScanner
 from bleak.backends.service import BleakGATTService, BleakGATTServiceCollection
 from bleak.exc import BleakError
 
-from echelon.play.trainer import Timing, Trainer
+from echelon.play.trainer.trainer import Timing, Trainer
 
 
 def uuid_of(number: int) -> str:

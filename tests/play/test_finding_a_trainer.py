@@ -9,7 +9,7 @@ import pytest
 from bleak.exc import BleakBluetoothNotAvailableError, BleakBluetoothNotAvailableReason
 
 from echelon.errors import InputError
-from echelon.play.trainer import Trainer
+from echelon.play.trainer.trainer import Trainer
 from tests.play.simulated_machine import FEATURE, TREADMILL, Air, SimulatedMachine, trainer_in
 
 

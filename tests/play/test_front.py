@@ -23,10 +23,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 from websockets.typing import Origin  # noqa: E402
 
 from echelon.errors import InputError  # noqa: E402
-from echelon.play import front as front_module  # noqa: E402
-from echelon.play import ride_socket, viser_pipe  # noqa: E402
-from echelon.play.front import Front  # noqa: E402
-from echelon.play.messages import ChangeView, Command, Gear, LetGo, Look, Pause, Ride, Seek  # noqa: E402
+from echelon.play.web import front as front_module  # noqa: E402
+from echelon.play.web import ride_socket, viser_pipe  # noqa: E402
+from echelon.play.web.front import Front  # noqa: E402
+from echelon.play.web.messages import ChangeView, Command, Gear, LetGo, Look, Pause, Ride, Seek  # noqa: E402
 
 WELCOME = {"mode": "herd", "title": "Border collie", "agents": 105, "seed": 7, "frames": 0, "frame_rate": 30}
 RIDE = {"kind": "ride", "pedal": 1, "brake": 0, "steer": 0.5, "lean": False}
@@ -300,6 +300,13 @@ def test_who_does_not_speak_is_dropped(front: Front, monkeypatch: pytest.MonkeyP
     assert time.monotonic() - begun < 3
 
 
+def test_connections_are_counted(front: Front, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(front_module, "MOST_CONNECTIONS", 1)
+    with socket.create_connection(("127.0.0.1", front.port)):
+        assert eventually(lambda: get(front)[0] == 503)
+    assert eventually(lambda: get(front)[0] == 200)
+
+
 # ---- who rides -----------------------------------------------------------------------------------------------------
 def test_hello_welcome_state(front: Front) -> None:
     async def try_it() -> None:
@@ -376,6 +383,24 @@ def test_a_replay_is_not_ridden_and_a_world_not_rewound(picture: ObedientViser) 
 
     run(try_it("replay", [Seek(3)]))
     run(try_it("race", [Pause(True)]))
+    run(try_it("watch", [Pause(True)]))
+
+
+def test_where_there_is_no_bicycle_nobody_holds_the_handlebars(front: Front) -> None:
+    async def try_it() -> None:
+        async with page(front) as anna:
+            await say(anna, {"kind": "take"})
+            await wanted(front, lambda found: (1, LetGo()) in found)
+            assert front.people()[0].riding
+            front.welcome = {**WELCOME, "mode": "watch"}
+            await hear(anna, "welcome")
+            assert not front.people()[0].riding
+            await say(anna, {"kind": "take"})
+            await say(anna, {"kind": "view", "view": "free"})
+            await wanted(front, lambda found: (1, ChangeView("free")) in found)
+            assert not front.people()[0].riding
+
+    run(try_it())
 
 
 def test_the_newest_state_at_most_fifteen_times_a_second(front: Front) -> None:

@@ -13,9 +13,9 @@ from echelon.errors import InputError
 from echelon.flocking.person import CONTROLS, DEVELOPMENTS, FIRST_GEAR
 from echelon.play.controls import Controls
 from echelon.play.live import Live
-from echelon.play.messages import Gear, LetGo, Pause, Play, Rate, Restart, Ride, Save, Seek, Slow
 from echelon.play.replayed import Replayed
 from echelon.play.takes import Take, free_folder, ridable
+from echelon.play.web.messages import Gear, LetGo, Pause, Play, Rate, Restart, Ride, Save, Seek, Slow
 from echelon.recording import Recording
 from echelon.scenario import Scenario
 from echelon.simulation import simulate

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from echelon.errors import InputError
-from echelon.play.inbox import CAPACITY, Inbox
-from echelon.play.messages import (
+from echelon.play.web.inbox import CAPACITY, Inbox
+from echelon.play.web.messages import (
     FORMS,
     LARGEST,
     ChangeView,

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from echelon.errors import InputError
-from echelon.play.people import People, Person
+from echelon.play.web.people import People, Person
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from echelon.errors import InputError
-from echelon.play.pitch import OUTPUT_RATE, PITCH_LIMIT, PITCH_RATE, DatagramPitch, PitchChannel
+from echelon.play.trainer.pitch import OUTPUT_RATE, PITCH_LIMIT, PITCH_RATE, DatagramPitch, PitchChannel
 from tests.play.simulated_machine import Air, SimulatedMachine, trainer_in, wait_until
 
 STEP = 1.0 / OUTPUT_RATE

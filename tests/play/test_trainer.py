@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from echelon.play import trainer as trainer_file
-from echelon.play.fitness_machine import (
+from echelon.play.trainer import trainer as trainer_file
+from echelon.play.trainer.fitness_machine import (
     FASTEST,
     QUICKEST,
     STRONGEST,
@@ -25,7 +25,7 @@ from echelon.play.fitness_machine import (
     RoadSurface,
     bike_data_length,
 )
-from echelon.play.trainer import GRADIENT_LIMIT, Trainer
+from echelon.play.trainer.trainer import GRADIENT_LIMIT, Trainer
 from tests.play.simulated_machine import (
     BIKE_DATA,
     CONTROL_POINT,

@@ -125,6 +125,7 @@ SETTINGS: Mapping[str, float] = {
     "fall_tilt": STANDING_TILT,
     "ahead_height": 0.0,
     "ahead_inertia": 20.0,
+    "step_damping": 1.0,
 }
 """What a row sets, and what holds where it does not. `balance`, `flat`, `upright` and `placement` are shares from 0
 (off) to 1; `com_x`, `com_y` are where the centre of mass should be from the middle of the feet [m]; `balance_kp*`
@@ -137,7 +138,9 @@ the distance;
 `push_x`, `push_y` are a force on the sternum, forward and to the left [N];
 `fall_tilt` is how far the pelvis may tilt while a foot is loaded [rad]; `ahead_height` [m] and `ahead_inertia`
 [kg m^2] are the height of the centre of mass over the ground until which, and the inertia with which,
-`somersault_ahead` looks ahead."""
+`somersault_ahead` looks ahead; `step_damping` is how much is left of the damping that a step adds: a stiffness kp taken
+implicitly over a step h damps as h kp does, some percent of kv; with 0 that is taken off kv, and servos damp alike with
+every step."""
 
 FOOT_LINKS = ("foot", "toes")
 HAND_LINKS = ("hand",)
@@ -397,10 +400,16 @@ class Gymnast:
     def actuate(self, view: View, joints: JointForces) -> None:
         """A servo at each joint, equation 3.3, and what contacts feel."""
         memory, h = view.memory, view.implicit_step
+        taken_off = h * (1.0 - memory["row.step_damping"])
+
+        def stiffness_and_damping(group: str, gains: tuple[float, float]) -> tuple[Any, Any]:
+            kp, kv = gains[0] * memory[f"kp.{group}"], gains[1] * memory[f"kv.{group}"]
+            # Not less than none: together with the step's own damping that is stable with any stiffness.
+            return kp, maximum(kv - taken_off * kp, 0.0)
 
         def servo(joint: str, axis: int, desired: Any, group: str, gains: tuple[float, float]) -> None:
             at_q, at_u = self._place(joint, axis)
-            kp, kv = gains[0] * memory[f"kp.{group}"], gains[1] * memory[f"kv.{group}"]
+            kp, kv = stiffness_and_damping(group, gains)
             joints.servo(at_u, view.q[at_q], view.u[at_u], desired, 0.0, kp, kv, h, self._strength(view, at_u))
 
         for side in SIDES:
@@ -408,7 +417,7 @@ class Gymnast:
                 joint = f"{side}_{axis.joint}"
                 servo(joint, axis.axis, memory[f"desired.{side}_{name}"], axis.group, GAINS[axis.group])
             at_q, at_u = self._place(f"{side}_shoulder", 0)
-            kp, kv = GAINS["shoulder"][0] * memory["kp.shoulder"], GAINS["shoulder"][1] * memory["kv.shoulder"]
+            kp, kv = stiffness_and_damping("shoulder", GAINS["shoulder"])
             desired = [memory[f"desired.{side}_shoulder.{part}"] for part in "xyzw"]
             here, turning = list(view.q[at_q : at_q + 4]), list(view.u[at_u : at_u + 3])
             strengths = [self._strength(view, at_u + i) for i in range(3)]

@@ -17,9 +17,11 @@ from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.simulation.performance import Performance
 from echelon.warp_kernels.character import Population
 from echelon.warp_kernels.frame import Terrain
+from echelon.warp_kernels.reference import Body
 
 STANDS_AFTER = 3.0  # from touchdown, one is balanced then or not [s]
 STILL = 0.05  # who stands has a centre of mass slower than this [m/s]
+PLATE_WINDOW = 0.01  # over which the force of the ground is averaged, as force plates are filtered [s]
 
 
 def gymnast_of(sex: str) -> Gymnast:
@@ -42,6 +44,7 @@ def trials(
     settings: FidelitySettings,
     *,
     frame_rate: int = 30,
+    ticks_per_second: int = 0,
     people: Population | None = None,
     terrain: Terrain | None = None,
     places: np.ndarray | None = None,
@@ -54,6 +57,7 @@ def trials(
         values: Parameters that differ from the script's, for each.
         settings: How to run them.
         frame_rate: How often a second they can be watched [1/s].
+        ticks_per_second: How often control decides [1/s]; 0 for as often as suits the character.
         people, terrain, places: As for a `Performance`.
     """
     steps = settings.steps_per_second or character.steps_per_second
@@ -65,9 +69,29 @@ def trials(
         places=places,
         frame_rate=frame_rate,
         substeps=round(steps / frame_rate),
-        tick=character.steps_per_tick * max(round(steps / character.steps_per_second), 1),
+        tick=max(round(steps / (ticks_per_second or character.steps_per_second / character.steps_per_tick)), 1),
         threads=settings.threads or 0,
     )
+
+
+def filtered_peak(vz: np.ndarray, body: Body, frame_rate: int) -> np.ndarray:
+    """Greatest vertical force of the ground on each gymnast as a filtered force plate tells it [N], shape [agents].
+
+    A foot of 1 kg that stops within a millisecond makes a spike that no filtered plate shows. The force, which is what
+    the body's momentum gains and its weight, is averaged over `PLATE_WINDOW` twice: a triangle so wide at half its
+    height. A single average jumps where such a spike enters it.
+
+    Args:
+        vz: Vertical speed of the centre of mass after each frame [m/s], shape [frames, agents].
+        body: Whose mass it is.
+        frame_rate: Frames a second [1/s].
+    """
+    width = max(round(PLATE_WINDOW * frame_rate), 1)
+    means = np.diff(vz.astype(np.float64), axis=0) * frame_rate
+    for _ in range(2):
+        sums = np.cumsum(np.insert(means, 0, 0.0, axis=0), axis=0)
+        means = (sums[width:] - sums[:-width]) / width
+    return body.mass * (means.max(axis=0) + body.gravity)
 
 
 def first_frame(script: Script, seen: Mapping[str, np.ndarray], row: str) -> np.ndarray:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from echelon.agents.gymnasts.airborne import airborne_population
 from echelon.agents.gymnasts.body import HAND_SITES, site_points
 from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
 from echelon.agents.gymnasts.joints import speed_index
 from echelon.agents.gymnasts.posture import positions_of
-from echelon.agents.gymnasts.script import Script, load_script
+from echelon.agents.gymnasts.script import Script, load_script, parse_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.handspring import FAILURE, Handsprings, perform
-from echelon.benchmarks.thesis.trials import gymnast_of
+from echelon.benchmarks.thesis.trials import gymnast_of, trials
 from echelon.simulation.performance import Performance
 from echelon.warp_kernels.contact import JointForces
 
@@ -87,6 +88,34 @@ def test_strength_clips_servos() -> None:
     free.servo(0, 0.0, 0.0, 0.3, 0.0, 100.0, 10.0, 0.001, (-30.0, 50.0))
     assert free.tau[0] == pytest.approx(30.0)
     assert free.implicit[0] > 0.0
+
+
+def test_servos_damp_alike_with_every_step_where_a_row_asks_for_it(character: Gymnast) -> None:
+    script = parse_script(
+        """
+[parameters]
+step_damping = 1.0
+
+[[row]]
+name = "point the toes"
+duration = 0.05
+channels = { ankle = 0.3 }
+gains = { ankle = [4.45, 0.5] }
+settings = { step_damping = "step_damping" }
+""",
+        "a script of one row",
+    )
+    swings = []
+    for steps in (1200, 2400):
+        people = airborne_population(character, {}, 2)
+        settings = FidelitySettings(threads=1, steps_per_second=steps)
+        values = [{"step_damping": 1.0}, {"step_damping": 0.0}]
+        run = trials(character, script, values, settings, frame_rate=300, people=people)
+        ankle = character.body.coordinate_names.index("left_ankle.2")
+        swings.append(run.run(0.1, ["q"])["q"][:, :, ankle].max(axis=0))
+        run.close()
+    kept, taken_off = np.abs(swings[1] - swings[0])
+    assert taken_off < 0.4 * kept
 
 
 def test_strengths_are_those_of_a_trained_human() -> None:

@@ -37,7 +37,7 @@ from pycycling.ftms_parsers import (
 from pycycling.ftms_parsers import FTMSControlPointResponseResultCode as Result
 from pycycling.ftms_parsers.fitness_machine_status import FitnessMachineStatus
 
-from echelon.play.bluetooth import RadioError
+from echelon.play.trainer.bluetooth import RadioError
 
 BIKE_DATA = ftms_indoor_bike_data_characteristic_id
 CONTROL_POINT = ftms_fitness_machine_control_point_characteristic_id

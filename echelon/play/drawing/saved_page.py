@@ -13,9 +13,9 @@ import numpy as np
 
 from echelon.errors import InputError
 from echelon.export.picture_files import checked_path, replacing
-from echelon.play.cameras import overview
-from echelon.play.quiet_server import close_server, open_server
-from echelon.play.view import View
+from echelon.play.drawing.cameras import overview
+from echelon.play.drawing.quiet_server import close_server, open_server
+from echelon.play.drawing.view import View
 from echelon.recording import Recording
 
 FRAMES_PER_SECOND = 15

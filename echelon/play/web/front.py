@@ -29,12 +29,13 @@ import numpy as np
 from websockets.frames import CloseCode
 
 from echelon.errors import InputError
-from echelon.play.front_page import build_page, page_headers
-from echelon.play.http_head import LARGEST_HEAD, Doorkeeper, Head, Refused, answer, read_head, refusal
-from echelon.play.inbox import Inbox
-from echelon.play.messages import (
+from echelon.play.web.front_page import build_page, page_headers
+from echelon.play.web.http_head import LARGEST_HEAD, Doorkeeper, Head, Refused, answer, read_head, refusal
+from echelon.play.web.inbox import Inbox
+from echelon.play.web.messages import (
     LIVE_ONLY,
     REPLAY_ONLY,
+    RIDING_ONLY,
     ChangeView,
     Command,
     Gear,
@@ -48,9 +49,9 @@ from echelon.play.messages import (
     Ride,
     Take,
 )
-from echelon.play.people import People, Person
-from echelon.play.ride_socket import RideSocket
-from echelon.play.viser_pipe import connect_through
+from echelon.play.web.people import People, Person
+from echelon.play.web.ride_socket import RideSocket
+from echelon.play.web.viser_pipe import connect_through
 
 MOST_PEOPLE = 32
 MOST_CONNECTIONS = 3 * MOST_PEOPLE  # a page has two, and needs a third for a moment while it loads
@@ -60,6 +61,7 @@ READ_WITHIN = 20.0  # seconds for each piece of the page
 CLOSE_WITHIN = 1.0  # seconds
 STATES_A_SECOND = 15.0
 SILENCE = 1.0  # seconds without a ride message after which nobody pedals
+NOT_IN = {"replay": LIVE_ONLY, "watch": (*RIDING_ONLY, *REPLAY_ONLY)}  # elsewhere, what is of a replay
 _PIECE = 65_536  # bytes
 
 _log = logging.getLogger("echelon.play")
@@ -70,8 +72,8 @@ class Front:
 
     Args:
         viser_port: Where viser listens on 127.0.0.1.
-        welcome: What a page is told first: mode ("herd", "race" or "replay"), title, agents, seed, frames, frame_rate.
-            Can be replaced at any time; everybody is then told anew.
+        welcome: What a page is told first: mode ("herd", "race", "watch" where there is no bicycle to ride, or
+            "replay"), title, agents, seed, frames, frame_rate. Can be replaced at any time; everybody is told anew.
         host: The address to listen on.
         port: The port to listen on, or the next free one; 0 for any.
         names: Further host names under which the server may be addressed (behind a proxy, say).
@@ -333,7 +335,7 @@ class Front:
             raise InputError("message: hello comes first")
         elif isinstance(message, Ping):
             ride.answer(json.dumps({"kind": "pong", "at": message.at}))
-        elif isinstance(message, LIVE_ONLY if self._welcome.get("mode") == "replay" else REPLAY_ONLY):
+        elif isinstance(message, NOT_IN.get(str(self._welcome.get("mode")), REPLAY_ONLY)):
             return  # of a page that has not yet heard that the mode changed
         elif isinstance(message, Take | Pass | Leave):
             self._move_handlebars(person, message)
@@ -385,6 +387,10 @@ class Front:
         return json.dumps({**self._welcome, "kind": "welcome", "you": person})
 
     def _welcome_everybody(self) -> None:
+        rider = self._people.rider
+        if rider is not None and self._welcome.get("mode") in NOT_IN and self._people.let_go(rider):
+            self._nobody_pedals(rider)  # there is nothing left to hold
+            self._everybody = self._people.everybody()
         for person, ride in self._sockets.items():
             if ride.greeted:
                 ride.welcome(self._welcome_for(person))

@@ -13,7 +13,7 @@
  *                #echelon-place #echelon-of #echelon-gap #echelon-gradient #echelon-distance #echelon-length
  *                #echelon-lap #echelon-race-time #echelon-track #echelon-note #echelon-paused #echelon-notice
  *   people       #echelon-people #echelon-people-list (li[data-person], .riding) #echelon-name #echelon-take
- *                #echelon-leave #echelon-pass-to #echelon-pass #echelon-take-big
+ *                #echelon-leave #echelon-pass-row #echelon-pass-to #echelon-pass #echelon-take-big #echelon-handlebars
  *   tools        #echelon-pause #echelon-director-open #echelon-help-open
  *   director     #echelon-director #echelon-view-saddle -follow -free, #echelon-slow-1 -2 -4 -10,
  *                #echelon-restart-open #echelon-save #echelon-bare
@@ -67,6 +67,7 @@
   const isLive = () => welcome !== null && welcome.mode !== "replay";
   const people = () => (state && state.people) || [];
   const rider = () => people().find((one) => one.riding) || null;
+  const isRidden = () => isLive() && welcome.mode !== "watch"; // whether the world has a bicycle at all
   const amRiding = () => isLive() && rider() !== null && rider().id === welcome.you;
   const mayDirect = () => welcome !== null && (rider() === null || rider().id === welcome.you);
   const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
@@ -286,11 +287,12 @@
     root().classList.toggle("replay", message.mode === "replay");
     byId("timeline").hidden = message.mode !== "replay";
     byId("pause").hidden = message.mode === "replay";
-    byId("handlebars").hidden = message.mode === "replay";
+    byId("handlebars").hidden = !isRidden();
     for (const group of root().querySelectorAll(".live")) group.hidden = message.mode === "replay";
-    if (first) setView(message.mode === "replay" ? "follow" : "saddle");
+    if (first) setView(isRidden() ? "saddle" : "follow");
     else setView(view);
     look.sent = false;
+    showPeople();
     ping();
     showConnection();
     mirror();
@@ -299,7 +301,7 @@
   function onPong(message) {
     const latency = performance.now() - message.at;
     root().dataset.latency = latency.toFixed(1);
-    byId("latency").textContent = latency < 20 ? "" : `· ${latency.toFixed(0)} ms`;
+    byId("latency").textContent = latency < 50 ? "" : `· ${latency.toFixed(0)} ms`;
   }
 
   function ping() {
@@ -472,7 +474,7 @@
     byId("take").hidden = rider() !== null;
     byId("leave").hidden = !amRiding();
     byId("pass-row").hidden = !amRiding() || others.length === 0;
-    byId("take-big").hidden = !isLive() || rider() !== null;
+    byId("take-big").hidden = !isRidden() || rider() !== null;
   }
 
   function shownName(one) {
@@ -713,7 +715,7 @@
       lean = !lean;
       tick();
     },
-    KeyT: () => send({ kind: amRiding() ? "leave" : "take" }),
+    KeyT: () => isRidden() && send({ kind: amRiding() ? "leave" : "take" }),
     KeyV: () => setView(VIEWS[(VIEWS.indexOf(view) + 1) % VIEWS.length]),
     KeyC: lookAhead,
     KeyP: () => isLive() && togglePause(),

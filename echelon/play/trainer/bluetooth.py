@@ -13,7 +13,7 @@ from bleak import BleakScanner
 from bleak.backends.device import BLEDevice
 from bleak.backends.scanner import AdvertisementData
 
-from echelon.play.machine_address import NEAREST
+from echelon.play.trainer.machine_address import NEAREST
 
 FITNESS_MACHINE = "00001826-0000-1000-8000-00805f9b34fb"
 """The Fitness Machine Service."""

@@ -26,15 +26,20 @@ def build_page() -> bytes:
         raise InputError(
             f"{path}: viser's client cannot be read ({error.strerror}); install viser from a wheel"
         ) from None
-    head, end, rest = client.partition("</head>")
-    if not end:
+    if "</head>" not in client:
         raise InputError(f"{path}: viser's client has no head to put ours in; viser 1.1 is known to have")
-    folder = resources.files("echelon.play") / "page"
+    return with_ours(client).encode()
+
+
+def with_ours(client: str) -> str:
+    """A page with our style and script at the end of its head."""
+    head, end, rest = client.partition("</head>")
+    folder = resources.files("echelon.play.web") / "page"
     style = (folder / "play.css").read_text(encoding="utf-8")
     script = (folder / "play.js").read_text(encoding="utf-8")
     head = head.replace("<title>Viser</title>", "<title>Echelon</title>")
     ours = f'<style id="echelon-style">\n{style}</style>\n<script id="echelon-script">\n{script}</script>\n'
-    return f"{head}{ours}{end}{rest}".encode()
+    return f"{head}{ours}{end}{rest}"
 
 
 def page_headers(host: str) -> dict[str, str]:

@@ -10,7 +10,7 @@ None, so that the person rides on by keys, and it is looked for again after paus
 
 A person sits on what this drives. The gradient that is sent stays within `GRADIENT_LIMIT`, begins flat with each
 connection, and changes by at most `GRADIENT_RATE`, whatever the world does, a restart on a climb included; for pitch
-see `echelon.play.pitch`. `stop` leaves the trainer on a flat road and the platform level.
+see `echelon.play.trainer.pitch`. `stop` leaves the trainer on a flat road and the platform level.
 
 The packages beneath, bleak and pycycling, are the extra `trainer`; this file can be imported without them.
 """
@@ -30,14 +30,14 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from echelon.errors import InputError
-from echelon.play.following import Follower, finite
-from echelon.play.machine_address import NEAREST, check_address
-from echelon.play.pitch import PitchChannel, PitchOutput
+from echelon.play.trainer.following import Follower, finite
+from echelon.play.trainer.machine_address import NEAREST, check_address
+from echelon.play.trainer.pitch import PitchChannel, PitchOutput
 
 if TYPE_CHECKING:
     from bleak.backends.device import BLEDevice
 
-    from echelon.play.fitness_machine import FitnessMachine, Measured
+    from echelon.play.trainer.fitness_machine import FitnessMachine, Measured
 
 GRADIENT_LIMIT = 0.20
 """Greatest gradient, up and down, that a trainer is told, rise over run."""
@@ -283,7 +283,7 @@ class Trainer:
 
     async def _ride(self) -> None:
         """One connection after another; ends only if there never is a first."""
-        from echelon.play.bluetooth import RadioError, find_machine, reason_of
+        from echelon.play.trainer.bluetooth import RadioError, find_machine, reason_of
 
         failures = 0
         while True:
@@ -308,8 +308,8 @@ class Trainer:
         """Connects, and talks until the connection is lost."""
         from bleak import BleakClient
 
-        from echelon.play.bluetooth import reason_of
-        from echelon.play.fitness_machine import FitnessMachine, RoadSurface
+        from echelon.play.trainer.bluetooth import reason_of
+        from echelon.play.trainer.fitness_machine import FitnessMachine, RoadSurface
 
         lost = asyncio.Event()
 

@@ -1,7 +1,7 @@
 """Light and colour in the browser, so that what is seen there looks like the films.
 
-viser's page shows everything through three.js's filmic tone mapping (the ACES fit by Stephen Hill), which makes colours
-darker and duller than they were given. What is to be seen as it is must be given as that curve's inverse.
+viser's page shows everything through three.js's filmic tone mapping (the ACES fit by Stephen Hill), which brightens
+what is dark and dulls what is bright. What is to be seen as it is must be given as that curve's inverse.
 """
 
 from __future__ import annotations

@@ -11,12 +11,12 @@ import viser
 from echelon.export.actor_looks import actor_visuals
 from echelon.export.drawn_parts import DrawnPart, parts_of
 from echelon.export.picture_source import DrawnCast, drawn_cast, drawn_world
-from echelon.play.browser_light import light_up
-from echelon.play.glb import glb
-from echelon.play.moving import UNKNOWN_COLOR, MovingBodies, actor_name
-from echelon.play.painted_parts import painted
-from echelon.play.shadows import ActorShadow, Shadows, outline
-from echelon.play.standing import Ground, Standing, standing_things
+from echelon.play.drawing.browser_light import light_up
+from echelon.play.drawing.glb import glb
+from echelon.play.drawing.moving import UNKNOWN_COLOR, MovingBodies, actor_name
+from echelon.play.drawing.painted_parts import painted
+from echelon.play.drawing.shadows import ActorShadow, Shadows, outline
+from echelon.play.drawing.standing import Ground, Standing, standing_things
 from echelon.recording import Actor, Cast
 
 NEAREST = 0.25  # [m] from the eye: nothing nearer is drawn

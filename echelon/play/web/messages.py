@@ -146,7 +146,8 @@ Command = Ride | LetGo | Gear | ChangeView | Look | Pause | Slow | Restart | Sav
 Message = Hello | Take | Pass | Leave | Ping | Command
 
 REPLAY_ONLY = (Seek, Play, Rate)
-LIVE_ONLY = (Ride, Gear, Slow, Restart, Save, Pause, Take, Pass)
+RIDING_ONLY = (Ride, Gear, Take, Pass)
+LIVE_ONLY = (*RIDING_ONLY, Slow, Restart, Save, Pause)
 
 
 # ---- the forms -----------------------------------------------------------------------------------------------------

@@ -19,9 +19,9 @@ from websockets.protocol import State
 from websockets.server import ServerProtocol
 
 from echelon.errors import InputError
-from echelon.play.allowance import Allowance
-from echelon.play.http_head import Head
-from echelon.play.messages import LARGEST, Message, read_message
+from echelon.play.web.allowance import Allowance
+from echelon.play.web.http_head import Head
+from echelon.play.web.messages import LARGEST, Message, read_message
 
 MESSAGES_A_SECOND = 120.0
 PATIENCE = 20.0  # seconds that a page may take to read what it was sent

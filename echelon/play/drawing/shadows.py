@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from echelon.export.drawn_bodies import rotation_matrices
 from echelon.export.drawn_parts import DrawnPart
 from echelon.export.light import SHADOW_COLOR, SUN
-from echelon.play.browser_light import shown_as_is
-from echelon.play.glb import ColoredMesh, glb
-from echelon.play.moving import AWAY, UPRIGHT
+from echelon.play.drawing.browser_light import shown_as_is
+from echelon.play.drawing.glb import ColoredMesh, glb
+from echelon.play.drawing.moving import AWAY, UPRIGHT
 
 LIFT = 0.032  # [m] above the ground
 ROUND = 0.25  # outlines whose axes differ by less than this part are taken for circles
@@ -97,6 +97,7 @@ class Shadows:
             receive_shadow=False,
         )
         self._round = _ellipses(body, np.zeros(1)) if body.is_round else None
+        self._lies_on: np.ndarray | None = None  # normals of the ground for which round patches have been turned
 
     def show(self, roots: np.ndarray, planes: np.ndarray, removed: np.ndarray) -> None:
         """Move them.
@@ -109,11 +110,15 @@ class Shadows:
         points = shadow_places(self._body, roots, planes)
         points[removed] = AWAY
         self._batch.batched_positions = points.astype(np.float32)
+        normals = planes[:, :3]
         if self._round is None:
             axes, half = _ellipses(self._body, _headings(roots))
+        elif self._lies_on is not None and np.array_equal(normals, self._lies_on):
+            return
         else:
             axes, half = (np.broadcast_to(part, (len(roots), *part.shape[1:])) for part in self._round)
-        self._batch.batched_wxyzs = _lying(axes, planes[:, :3]).astype(np.float32)
+            self._lies_on = np.array(normals)
+        self._batch.batched_wxyzs = _lying(axes, normals).astype(np.float32)
         self._batch.batched_scales = half.astype(np.float32)
 
     def remove(self) -> None:

@@ -22,10 +22,10 @@ from echelon.export.renderer import Surface, joined
 from echelon.export.road_scene import GroundPart
 from echelon.export.road_scenery import skirt
 from echelon.export.scenery import HORIZON, MEADOW, hills, scenery, sky
-from echelon.play.browser_light import shown_as_is
-from echelon.play.glb import ColoredMesh, glb
-from echelon.play.grain import MEAN, SIZE, grain
-from echelon.play.painted_parts import painted
+from echelon.play.drawing.browser_light import shown_as_is
+from echelon.play.drawing.glb import ColoredMesh, glb
+from echelon.play.drawing.grain import MEAN, SIZE, grain
+from echelon.play.drawing.painted_parts import painted
 
 FIELD_REACH = 40.0  # [m] each way from the origin: where the action is on ground without an outline
 GRAIN_REACH = 320.0  # [m] from the origin: farther away the grain of a field cannot be seen

@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import Self
 
 from echelon.errors import InputError
-from echelon.play.following import Follower, finite
+from echelon.play.trainer.following import Follower, finite
 
 PITCH_LIMIT = math.radians(12.0)
 """Greatest pitch of the platform, up and down [rad]; that of the papers' platform."""

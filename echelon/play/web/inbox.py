@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 
-from echelon.play.messages import ChangeView, Command, LetGo, Look, Pause, Rate, Ride, Seek, Slow
+from echelon.play.web.messages import ChangeView, Command, LetGo, Look, Pause, Rate, Ride, Seek, Slow
 
 NEWEST_ONLY = (Ride, LetGo, Look, ChangeView, Seek, Rate, Slow, Pause)
 CAPACITY = 256  # commands of the other kinds

@@ -18,8 +18,8 @@ from typing import Literal
 
 import msgspec
 
-from echelon.play.allowance import Allowance
-from echelon.play.http_head import Head
+from echelon.play.web.allowance import Allowance
+from echelon.play.web.http_head import Head
 
 PIECE = 65_536  # bytes carried to a browser at once
 HELD = 262_144  # bytes of ours that wait for a browser

@@ -16,9 +16,9 @@ import viser
 from echelon.export.drawn_parts import DrawnPart
 from echelon.export.picture_source import DrawnCast
 from echelon.export.shapes import joined
-from echelon.play.browser_light import shaded_albedo
-from echelon.play.glb import glb
-from echelon.play.painted_parts import painted, split
+from echelon.play.drawing.browser_light import shaded_albedo
+from echelon.play.drawing.glb import glb
+from echelon.play.drawing.painted_parts import painted, split
 
 AWAY = np.array([0.0, 0.0, -1.0e4], dtype=np.float32)  # [m]: where those are who have been taken away
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)  # quaternion (w, x, y, z)

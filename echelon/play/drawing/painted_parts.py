@@ -8,8 +8,8 @@ import numpy as np
 
 from echelon.export.drawn_parts import DrawnPart
 from echelon.export.shapes import joined
-from echelon.play.browser_light import shaded_albedo
-from echelon.play.glb import ColoredMesh
+from echelon.play.drawing.browser_light import shaded_albedo
+from echelon.play.drawing.glb import ColoredMesh
 
 
 def painted(parts: Sequence[DrawnPart], individual: np.ndarray) -> ColoredMesh:

@@ -16,7 +16,7 @@ import numpy as np
 import viser
 
 from echelon.export.drawn_bodies import rotation_matrices
-from echelon.play.view import View
+from echelon.play.drawing.view import View
 
 Looking = Literal["saddle", "follow", "free"]
 
