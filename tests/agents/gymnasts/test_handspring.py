@@ -5,19 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from echelon.agents.gymnasts.airborne import airborne_population
 from echelon.agents.gymnasts.body import HAND_SITES, site_points
-from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
+from echelon.agents.gymnasts.gymnast import GAINS, Gymnast, gymnast
 from echelon.agents.gymnasts.joints import speed_index
 from echelon.agents.gymnasts.posture import positions_of
-from echelon.agents.gymnasts.script import Script, load_script, parse_script
+from echelon.agents.gymnasts.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.handspring import FAILURE, Handsprings, perform
-from echelon.benchmarks.thesis.trials import gymnast_of, trials
+from echelon.benchmarks.thesis.trials import gymnast_of
 from echelon.simulation.performance import Performance
-from echelon.warp_kernels.contact import JointForces
+from echelon.warp_kernels.articulated import ContactLoad, kinematics
+from echelon.warp_kernels.character import View
+from echelon.warp_kernels.contact import NO_MATRIX, Contact, JointForces
 
 DISTURBED = 38
+NOTHING = ContactLoad([0.0] * 3, [0.0] * 3, NO_MATRIX, NO_MATRIX, NO_MATRIX)
 
 
 @pytest.fixture(scope="module")
@@ -90,32 +92,31 @@ def test_strength_clips_servos() -> None:
     assert free.implicit[0] > 0.0
 
 
-def test_servos_damp_alike_with_every_step_where_a_row_asks_for_it(character: Gymnast) -> None:
-    script = parse_script(
-        """
-[parameters]
-step_damping = 1.0
-
-[[row]]
-name = "point the toes"
-duration = 0.05
-channels = { ankle = 0.3 }
-gains = { ankle = [4.45, 0.5] }
-settings = { step_damping = "step_damping" }
-""",
-        "a script of one row",
+@pytest.mark.parametrize("kept", [1.0, 0.0])
+def test_what_a_step_damps_is_taken_off_where_a_row_asks_for_it(character: Gymnast, kept: float) -> None:
+    body, h = character.body, 1.0 / 1200.0
+    q, u = body.q_reference, np.zeros(body.u_count)
+    view = View(
+        q=q,
+        u=u,
+        kin=kinematics(body.tree, q, u),
+        memory={**character.memory, "kp.ankle": 4.45, "row.step_damping": kept},
+        parameters=dict(character.parameters),
+        command={},
+        substep=0.0,
+        step=h,
+        tick=4.0 * h,
+        implicit_step=h,
+        contacts={site.name: Contact(NOTHING, 0.0, 0.0, [], []) for site in body.contacts},
     )
-    swings = []
-    for steps in (1200, 2400):
-        people = airborne_population(character, {}, 2)
-        settings = FidelitySettings(threads=1, steps_per_second=steps)
-        values = [{"step_damping": 1.0}, {"step_damping": 0.0}]
-        run = trials(character, script, values, settings, frame_rate=300, people=people)
-        ankle = character.body.coordinate_names.index("left_ankle.2")
-        swings.append(run.run(0.1, ["q"])["q"][:, :, ankle].max(axis=0))
-        run.close()
-    kept, taken_off = np.abs(swings[1] - swings[0])
-    assert taken_off < 0.4 * kept
+    joints = JointForces.none(body.u_count)
+    character.actuate(view, joints)
+    ankle, (kp, kv) = speed_index(body, "left_ankle", "y"), GAINS["ankle"]
+    assert joints.implicit[ankle] == pytest.approx(h * (kv + kept * h * 4.45 * kp))
+
+
+def test_every_row_of_the_handspring_takes_it_off(script: Script) -> None:
+    assert {row["settings"]["step_damping"] for row in script.rows} == {0}
 
 
 def test_strengths_are_those_of_a_trained_human() -> None:
