@@ -104,7 +104,7 @@ def _carried(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
     return pose[..., :3] + turned
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_all_complete_the_race(seed: int, tmp_path: Path) -> None:
     recording = ride(tmp_path, "olympic-race", f"seed={seed}", f"population_seed={seed}")
     unharmed(recording)
