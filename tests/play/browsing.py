@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, ConsoleMessage, Error, Page, Request, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Error, Page, Request, ViewportSize, sync_playwright
 
 # A software renderer: machines that run tests have no display and seldom a GPU.
 FLAGS = [
@@ -30,7 +30,8 @@ FLAGS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]
-SIZE = (640, 360)  # few pixels, because a software renderer draws them
+SIZE = (640, 360)
+COARSE = 0.5  # pixels drawn for a pixel of the page, along either side: a software renderer draws them
 START_WITHIN = 300.0  # [s]; whoever comes first compiles the kernels
 LOAD_WITHIN = 120.0  # [s]
 SOON = 30.0  # [s] for whatever takes a person a moment, on a machine that is busy with other tests
@@ -102,7 +103,8 @@ class Tab:
     def __init__(self, browser: Browser, url: str, name: str) -> None:
         self.complaints: list[str] = []
         self._url, self._browser = url, browser
-        self._context = browser.new_context(viewport={"width": SIZE[0], "height": SIZE[1]}, reduced_motion="reduce")
+        size: ViewportSize = {"width": SIZE[0], "height": SIZE[1]}
+        self._context = browser.new_context(viewport=size, device_scale_factor=COARSE, reduced_motion="reduce")
         self._context.add_init_script(f"localStorage.setItem('echelon-name', '{name}')")
         self.page: Page = self._context.new_page()
         self.page.set_default_timeout(SOON * 1000.0)
@@ -166,18 +168,6 @@ class Tab:
             self.page.evaluate("document.getElementById('echelon').style.visibility = ''")
         return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), dtype=np.float64)
 
-    def settled_picture(self) -> np.ndarray:
-        """The picture once three in a row are the same: cameras come to rest a moment after the world."""
-        end, before, same = time.monotonic() + SOON, self.picture(), 0
-        while time.monotonic() < end:
-            time.sleep(0.2)
-            after = self.picture()
-            same = same + 1 if np.abs(after - before).mean() < 0.05 else 0
-            if same == 2:
-                return after
-            before = after
-        raise AssertionError("the picture does not come to rest")
-
     # ---- what is to be done ------------------------------------------------------------------------------------------
     @contextlib.contextmanager
     def holding(self, *keys: str) -> Iterator[None]:
@@ -202,6 +192,14 @@ class Tab:
         if self.data("riding") != "true":
             self.press("t")
             self.wait("data.riding === 'true'")
+
+    def go_on(self) -> None:
+        """End a pause, if there is one; a world that waits for its rider goes on by itself."""
+        with contextlib.suppress(AssertionError):
+            self.wait("data.paused === 'false'", within=1.0)
+            return
+        self.click("pause")
+        self.wait("data.paused === 'false'")
 
     def stop_riding(self) -> None:
         """Brake until the bicycle stands."""
@@ -251,6 +249,11 @@ def frames_in(tab: Tab, seconds: float) -> float:
     first, start = tab.number("frame"), time.monotonic()
     time.sleep(seconds)
     return (tab.number("frame") - first) / (time.monotonic() - start)
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> float:
+    """Between two pictures, on average over all pixels and colours, from 0 to 255."""
+    return float(np.abs(one - other).mean())
 
 
 def until(condition: Callable[[], Any], what: str, within: float = SOON) -> None:

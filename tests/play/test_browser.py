@@ -29,7 +29,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from echelon.recording import Recording
-from tests.play.browsing import SOON, Play, Tab, browser, frames_in, until
+from tests.play.browsing import SOON, Play, Tab, browser, difference, frames_in, until
 
 # Five robots that stay where they are until somebody comes: one before the mouth of the corral, two on either side.
 # Whoever rides straight ahead drives the one in, and does not turn the herd round before it is inside.
@@ -92,6 +92,7 @@ def only_tab(chromium: Browser, play: Play) -> Iterator[Tab]:
 def rider(only_tab: Tab) -> Iterator[Tab]:
     """Who holds the handlebars, and rides on in the world as the test before left it."""
     only_tab.take_handlebars()
+    only_tab.go_on()
     yield only_tab
     assert only_tab.complaints == []
 
@@ -191,7 +192,8 @@ def test_pads_move_it_too_and_gears_shift(rider: Tab) -> None:
 def test_who_drags_the_picture_looks_elsewhere(rider: Tab) -> None:
     rider.press("p")
     rider.wait("data.paused === 'true'")
-    ahead = rider.settled_picture()
+    time.sleep(0.5)  # the camera comes to rest a moment after the world
+    ahead = rider.picture()
     place = rider.page.locator("#echelon-paused").bounding_box()
     assert place is not None
     x, y = place["x"] + 5.0, place["y"] + 5.0  # what only tells something is not in the way
@@ -199,10 +201,9 @@ def test_who_drags_the_picture_looks_elsewhere(rider: Tab) -> None:
     rider.page.mouse.down()
     rider.page.mouse.move(x + 150.0, y, steps=4)
     rider.page.mouse.up()
-    aside = rider.settled_picture()
-    assert np.abs(aside - ahead).mean() > 3.0
+    until(lambda: difference(rider.picture(), ahead) > 3.0, "another picture to look at")
     rider.press("c")
-    assert np.abs(rider.settled_picture() - ahead).mean() < 1.0
+    until(lambda: difference(rider.picture(), ahead) < 1.0, "the same as before")
     rider.press("p")
     rider.wait("data.paused === 'false'")
 
@@ -246,7 +247,8 @@ def test_the_herd_flees(drive: Ride) -> None:
     near = int(np.argmax(gap < 11.0))
     assert near > 0, "nobody fled from the start"
     moved = places[-1] - places[near]
-    assert np.all(moved[:, 0] > 0.5), "each one ran ahead of whoever came from behind"
+    assert np.all(moved[:, 0] > 0.1), "each one runs away from whoever comes from behind"
+    assert moved[:, 0].mean() > 1.5
     assert np.linalg.norm(places[near, 0] - places[0, 0]) < 0.3, "who saw nobody stayed"
 
 
@@ -322,10 +324,10 @@ def test_two_people_see_the_same_and_one_rides(rider: Tab, chromium: Browser, pl
         with rider.holding("w", "a"):
             rider.wait("Number(data.speed) > 1")
         rider.press("p")
-        other.wait("data.paused === 'true'")
+        for tab in (rider, other):
+            tab.wait("data.paused === 'true'")
         assert other.data("frame") == rider.data("frame")
-        mine, theirs = rider.settled_picture(), other.settled_picture()
-        assert np.abs(mine - theirs).mean() < 2.0
+        until(lambda: difference(rider.picture(), other.picture()) < 2.0, "the same picture")
         rider.press("p")
         rider.wait("data.paused === 'false'")
         # Who does not hold the handlebars neither rides nor directs.
@@ -421,7 +423,7 @@ def _greet(link: ClientConnection, viewer: int) -> None:
 
 def _ended(link: ClientConnection) -> int:
     """The code with which the server ended it."""
-    with pytest.raises(ConnectionClosed):
+    with contextlib.suppress(ConnectionClosed):
         while True:
             link.recv(timeout=SOON)
     assert link.close_code is not None
@@ -509,6 +511,18 @@ def test_nothing_is_served_but_the_page(play: Play, method: str, path: str, stat
     link.close()
 
 
+# ---- the end ---------------------------------------------------------------------------------------------------------
+def test_the_end_is_told_and_the_take_kept(only_tab: Tab, play: Play, takes: Path) -> None:
+    only_tab.take_handlebars()
+    take = takes / only_tab.restart()
+    only_tab.wait_frames(45)
+    assert play.stop() == 0
+    assert any(line.startswith(f"take {take}") for line in play.said), play.said
+    assert Recording(take).frame_count > 45
+    only_tab.page.get_by_text("Echelon has stopped").wait_for()
+    only_tab.close()
+
+
 # ---- replays ---------------------------------------------------------------------------------------------------------
 def test_a_replay_goes_where_its_timeline_is_dragged(drive: Ride, chromium: Browser) -> None:
     recording = Recording(drive.take)
@@ -520,24 +534,20 @@ def test_a_replay_goes_where_its_timeline_is_dragged(drive: Ride, chromium: Brow
         assert tab.data("mode") == "replay"
         assert tab.text("frames") == str(last)
         assert not tab.page.is_visible("#echelon-take-big")
-        tab.wait("data.ended === 'true' || data.paused === 'false'")
         if tab.data("paused") == "false":
             tab.click("play")
             tab.wait("data.paused === 'true'")
-        for frame in (last // 3, last, 0):
-            tab.page.evaluate(
-                "frame => { const seek = document.getElementById('echelon-seek'); seek.value = frame;"
-                " seek.dispatchEvent(new Event('input', { bubbles: true })); }",
-                frame,
-            )
-            tab.wait(f"data.frame === '{frame}'")
-            assert tab.number("inCorral") == recording.in_corral[frame]
-            if frame == last // 3:
-                early = tab.settled_picture()
-            elif frame == last:
-                assert np.abs(tab.settled_picture() - early).mean() > 1.0
+        # Scrubbing shows the frame that is asked for.
+        _seek(tab, recording, 0)
+        time.sleep(0.5)  # the camera comes to rest a moment after the world
+        start = tab.picture()
+        _seek(tab, recording, last)
+        until(lambda: difference(tab.picture(), start) > 1.0, "another picture at the end")
+        _seek(tab, recording, 0)
+        until(lambda: difference(tab.picture(), start) < 0.5, "the same picture as before")
         tab.press("ArrowRight")
         tab.wait("data.frame === '1'")
+        # It plays, slowly and fast, and stops.
         tab.page.select_option("#echelon-rate", "0.25")
         tab.wait("data.rate === '0.25'")
         tab.press("Space")
@@ -558,12 +568,13 @@ def test_a_replay_goes_where_its_timeline_is_dragged(drive: Ride, chromium: Brow
         assert play.stop() == 0
 
 
-# ---- the end ---------------------------------------------------------------------------------------------------------
-def test_the_end_is_told_and_the_take_kept(only_tab: Tab, play: Play, takes: Path) -> None:
-    only_tab.take_handlebars()
-    take = takes / only_tab.restart()
-    only_tab.wait_frames(45)
-    assert play.stop() == 0
-    assert any(line.startswith(f"take {take}") for line in play.said), play.said
-    assert Recording(take).frame_count > 45
-    only_tab.page.get_by_text("Echelon has stopped").wait_for()
+def _seek(tab: Tab, recording: Recording, frame: int) -> None:
+    """Drag the timeline."""
+    slide = """([name, frame]) => {
+        const slider = document.getElementById(name);
+        slider.value = frame;
+        slider.dispatchEvent(new Event("input", { bubbles: true }));
+    }"""
+    tab.page.evaluate(slide, ["echelon-seek", frame])
+    tab.wait(f"data.frame === '{frame}'")
+    assert tab.number("inCorral") == recording.in_corral[frame]

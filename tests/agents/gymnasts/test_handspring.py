@@ -95,7 +95,7 @@ def test_strength_clips_servos() -> None:
 @pytest.mark.parametrize("kept", [1.0, 0.0])
 def test_what_a_step_damps_is_taken_off_where_a_row_asks_for_it(character: Gymnast, kept: float) -> None:
     body, h = character.body, 1.0 / 1200.0
-    q, u = body.q_reference, np.zeros(body.u_count)
+    q, u = body.q_reference.tolist(), [0.0] * body.u_count
     view = View(
         q=q,
         u=u,
