@@ -155,8 +155,8 @@ def test_the_end_of_a_run_ends_the_take_and_stands_still(tmp_path: Path) -> None
     world = Live(Take, replace(scene(), seconds=1.5), tmp_path)
     world.hear(PEDAL)
     for _ in range(60):
-        last = world.picture()
-    state = world.state()
+        world.picture()
+    last, state = world.picture(), world.state()
     assert (state["ended"], state["frame"]) == (True, 45)
     np.testing.assert_array_equal(last.links, world.picture().links)
     world.hear(Save())
@@ -217,7 +217,8 @@ def test_a_recording_plays_to_its_end_and_again(recorded: Recording) -> None:
     for frame in range(1, 61):
         moment = shown.picture()
         assert shown.state()["frame"] == frame
-    np.testing.assert_array_equal(moment.links, recorded.link_poses[60])
+        if frame == 60:
+            np.testing.assert_array_equal(moment.links, recorded.link_poses[60])
     assert (shown.state()["ended"], shown.standing_still) == (True, True)
     shown.hear(Play(True))
     shown.picture()
