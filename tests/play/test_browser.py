@@ -26,7 +26,7 @@ pytest.importorskip("viser", reason="the page is viser's: install echelon[play]"
 
 from playwright.sync_api import Browser
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import Connection, connect
 
 from echelon.recording import Recording
 from tests.play.browsing import SOON, Play, Tab, browser, difference, frames_in, until
@@ -399,7 +399,7 @@ _HANDSHAKE = (
 
 
 @contextlib.contextmanager
-def _page_of(play: Play) -> Iterator[ClientConnection]:
+def _page_of(play: Play) -> Iterator[Connection]:
     """What a page says and hears, without the page."""
     host, port = play.address
     with connect(f"ws://{host}:{port}/ride", close_timeout=1.0) as link:
@@ -416,12 +416,12 @@ def _picture_of(play: Play) -> Iterator[socket.socket]:
         yield link
 
 
-def _greet(link: ClientConnection, viewer: int) -> None:
+def _greet(link: Connection, viewer: int) -> None:
     link.send(json.dumps({"kind": "hello", "viewer": viewer, "name": "Mallory"}))
     assert json.loads(link.recv(timeout=SOON))["kind"] == "welcome"
 
 
-def _ended(link: ClientConnection) -> int:
+def _ended(link: Connection) -> int:
     """The code with which the server ended it."""
     with contextlib.suppress(ConnectionClosed):
         while True:
