@@ -168,6 +168,12 @@ class Tab:
             self.page.evaluate("document.getElementById('echelon').style.visibility = ''")
         return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), dtype=np.float64)
 
+    def picture_at_rest(self) -> np.ndarray:
+        """The picture of a world that stands still: cameras come to rest, and browsers draw, a moment after."""
+        time.sleep(1.0)
+        self.page.evaluate("async () => { for (let i = 0; i < 5; i++) await new Promise(requestAnimationFrame); }")
+        return self.picture()
+
     # ---- what is to be done ------------------------------------------------------------------------------------------
     @contextlib.contextmanager
     def holding(self, *keys: str) -> Iterator[None]:
@@ -252,8 +258,14 @@ def frames_in(tab: Tab, seconds: float) -> float:
 
 
 def difference(one: np.ndarray, other: np.ndarray) -> float:
-    """Between two pictures, on average over all pixels and colours, from 0 to 255."""
-    return float(np.abs(one - other).mean())
+    """Between two pictures, on average over all places and colours, from 0 to 255.
+
+    Seen from afar: where drawing is slow, viser draws fewer pixels, and the same picture is less sharp.
+    """
+    small = (SIZE[0] // 16, SIZE[1] // 16)
+    pictures = (Image.fromarray(each.astype(np.uint8)).resize(small, Image.Resampling.BOX) for each in (one, other))
+    first, second = (np.asarray(each, dtype=np.float64) for each in pictures)
+    return float(np.abs(first - second).mean())
 
 
 def until(condition: Callable[[], Any], what: str, within: float = SOON) -> None:
