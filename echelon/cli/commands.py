@@ -13,6 +13,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -247,7 +248,8 @@ def simulate(
     reporter = Reporter(quiet or as_json or not ranks.is_first)
     if ranks.is_first:
         check_products(out, film)
-        announce(reporter, plan, folder)
+        most = plan if controls is None else replace(plan, seconds=max(len(controls) - 1, 1) / plan.frame_rate)
+        announce(reporter, most, folder)
 
     def work(progress: Progress, cost: RunCost) -> Recording:
         from echelon.simulation import simulate

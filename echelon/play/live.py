@@ -191,6 +191,7 @@ class Live:
             "frame": self.take.frame,
             "time": self._seconds,
             "paused": self._paused or self._waiting,
+            "waiting": self._waiting,
             "rate": self._rate,
             "note": note,
             "ended": self.take.over,

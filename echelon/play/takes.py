@@ -30,6 +30,10 @@ def ridable(scenario: Scenario) -> Scenario:
         return scenario
     if scenario.on_road:
         user = replace(scenario.user or UserSettings(), by="person")
+        if user.ahead == UserSettings().ahead:
+            # Whoever starts ahead of all others sees an empty road: a person starts behind the last row.
+            grid = scenario.peloton
+            user = replace(user, ahead=-grid.row_spacing * (scenario.crowd.count / grid.columns + 1.0))
         return replace(scenario, user=user, seconds=seconds)
     collie = replace(scenario.collie or CollieSettings(), driver="person", waypoints=())
     # Whoever comes onto the field sees the herd.

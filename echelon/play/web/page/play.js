@@ -372,8 +372,8 @@
     const idle = state.paused || state.ended;
     pace.className = `row${idle ? " idle" : slow ? " slow" : ""}`;
     const slowMotion = isLive() && known(state.rate) && state.rate < 1 ? `Slow motion ${SPELLED[state.rate] || round(state.rate, 2)}` : "";
-    put("pace-text", state.ended ? "Ended" : state.paused ? "Paused" : slow ? `Slowed to ${round(state.real_time * 100)} %` : slowMotion || "Keeping up");
-    byId("paused").hidden = !(state.paused && isLive());
+    put("pace-text", state.ended ? "Ended" : state.waiting ? "Waiting" : state.paused ? "Paused" : slow ? `Slowed to ${round(state.real_time * 100)} %` : slowMotion || "Keeping up");
+    byId("paused").hidden = !(state.paused && isLive()) || Boolean(state.waiting); // the note says what it waits for
     byId("note").hidden = !state.note;
     put("note", state.note || "");
   }
@@ -443,8 +443,8 @@
       byId(id).disabled = !may;
       byId(id).title = why;
     }
-    put("pause", state.paused ? "Go on" : "Pause");
-    byId("pause").setAttribute("aria-pressed", String(Boolean(state.paused)));
+    put("pause", state.paused && !state.waiting ? "Go on" : "Pause");
+    byId("pause").setAttribute("aria-pressed", String(Boolean(state.paused && !state.waiting)));
     for (const button of root().querySelectorAll("[data-slow]")) {
       button.setAttribute("aria-pressed", String(Math.abs(Number(button.dataset.slow) - state.rate) < 1e-6));
     }
