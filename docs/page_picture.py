@@ -15,6 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
@@ -74,6 +75,8 @@ def take_picture(url: str, ride: str, view: str, size: tuple[int, int], out: Pat
         page.add_style_tag(content="#echelon-paused, .mantine-Notification-root { display: none !important; }")
         page.screenshot(path=out)
         browser.close()
+    # A palette is enough for a page, and a third of the size.
+    Image.open(out).convert("RGB").quantize(255, dither=Image.Dither.FLOYDSTEINBERG).save(out, optimize=True)
 
 
 def time_of(page: Page) -> float:

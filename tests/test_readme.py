@@ -145,7 +145,7 @@ def test_command_lines_parse(words: list[str]) -> None:
         if source.startswith("examples/"):
             assert (ROOT / source).is_file()
             Scenario.load(ROOT / source, options["settings"] or ())
-        elif not source.endswith(".toml"):  # a file that the reader has written
+        elif not source.endswith((".toml", ".recording")):  # what the reader has made
             assert source in scenario_names()
             Scenario.load(source, options["settings"] or ())
     elif name == "describe" and "." not in options["what"]:
