@@ -23,6 +23,7 @@ import pytest
 
 from echelon import cli
 from echelon.agents.bodies import load_body
+from echelon.cli.commands import run
 from echelon.cli.progress import Reporter, duration, size, speed_text
 from echelon.errors import InputError
 from echelon.export.renderer import RenderingUnavailable
@@ -47,10 +48,12 @@ def stand_in(
     device: str = "cpu",
     ranks: Ranks | None = None,
     cost: RunCost | None = None,
+    controls: np.ndarray | None = None,
     stop: Any = None,
 ) -> Recording:
     """A run in which everybody stands still; ``stop`` may raise after the second chunk."""
     assert ranks is None or ranks.size == 1
+    assert controls is None
     if cost is not None:
         cost.threads = 3
     count, frames = scenario.crowd.count, scenario.step_count + 1
@@ -642,3 +645,47 @@ def test_a_real_run_killed_and_resumed(here: Path, said: Said) -> None:
     files = sorted(path.relative_to(here / "whole") for path in (here / "whole").rglob("*") if path.is_file())
     assert files == sorted(path.relative_to(here / "cut") for path in (here / "cut").rglob("*") if path.is_file())
     assert all((here / "cut" / file).read_bytes() == (here / "whole" / file).read_bytes() for file in files)
+
+
+def test_a_recording_is_simulated_again(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    first, again = tmp_path / "first.recording", tmp_path / "again.recording"
+    assert run(["simulate", "straight", "--seconds", "0.5", "--recording", str(first), "--quiet"]) == 0
+    assert run(["simulate", str(first), "--recording", str(again), "--quiet"]) == 0
+    for file in first.rglob("*"):
+        if file.is_file():
+            assert file.read_bytes() == (again / file.relative_to(first)).read_bytes()
+    assert run(["simulate", str(first), "--recording", str(first)]) == 2
+    assert "is what is to be simulated again; name another with --recording" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "takes one of SCENARIO, --replay RECORDING and --continue TAKE; none was given"),
+        (["herd", "--replay", "x"], "SCENARIO and --replay were given"),
+        (["--replay", "x", "--seed", "2"], "--seed: changes a scenario; --replay has one already"),
+        (["herd", "--from", "2"], "--from: says from when on a take is gone on with"),
+        (["--replay", "x", "--trainer", "nearest"], "--trainer: nobody rides in a recording"),
+        (["herd", "--pitch", "9000"], "--pitch: is driven beside a trainer"),
+        (["--replay", "nowhere"], "nowhere: no such recording"),
+        (["herd", "--takes", "nowhere"], "--takes nowhere: there is no such folder"),
+        (["hird"], "no such scenario"),
+    ],
+)
+def test_play_refuses_in_one_line(arguments: list[str], message: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["play", *arguments, "--no-open"]) == 2
+    err = capfd.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+
+
+def test_what_a_page_cannot_be_made_of(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    first = tmp_path / "first.recording"
+    assert run(["simulate", "straight", "--seconds", "0.5", "--recording", str(first), "--quiet"]) == 0
+    for options, message in (
+        (["--start", "9"], "--start 9: must be from 0 to 0.5 s"),
+        (["--size", "10x10"], "--size: not for a page"),
+        (["--strip", "0.1"], "is a page; a filmstrip is a .png"),
+    ):
+        assert run(["render", str(first), "--out", str(tmp_path / "page.html"), *options]) == 2
+        assert message in capfd.readouterr().err

@@ -10,11 +10,18 @@ import numpy as np
 from echelon.flocking.collie import PERSON
 from echelon.flocking.person import CONTROLS, DEVELOPMENTS, cadence_of, power_of
 from echelon.flocking.road_riders import UNFINISHED
+from echelon.scenario import PERFORMERS
 from echelon.simulation import Simulation
 from echelon.simulation.field import Field
 from echelon.simulation.road import Road
 
 _AT = {name: place for place, name in enumerate(CONTROLS)}
+
+
+def crowd_words(character: str) -> str:
+    """What the characters of a scenario are called on the page, in the plural."""
+    words = {"hopper": "robots", "cyclist": "riders", "point-mass": "points"}
+    return words.get(character, "gymnasts" if character in PERFORMERS else "characters")
 
 
 def dashboard(simulation: Simulation, controls: np.ndarray, fallen: int) -> dict[str, Any]:

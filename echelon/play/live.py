@@ -11,7 +11,7 @@ import numpy as np
 
 from echelon.errors import InputError
 from echelon.play.controls import Controls
-from echelon.play.dashboard import dashboard, gradient, pitch
+from echelon.play.dashboard import crowd_words, dashboard, gradient, pitch
 from echelon.play.moments import Moment, between
 from echelon.play.pace import frames_between
 from echelon.play.takes import Take, free_folder
@@ -178,6 +178,7 @@ class Live:
             "mode": mode if self.take.ridden else "watch",
             "title": scenario.title or scenario.name,
             "agents": scenario.crowd.count,
+            "crowd": crowd_words(scenario.crowd.character),
             "seed": scenario.seed,
             "frames": 0,
             "frame_rate": self.frame_rate,

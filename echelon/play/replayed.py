@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from echelon.errors import InputError
+from echelon.play.dashboard import crowd_words
 from echelon.play.moments import Moment, between
 from echelon.play.web.messages import Command, Play, Rate, Seek
 from echelon.recording import Recording
@@ -79,6 +80,7 @@ class Replayed:
             "mode": "replay",
             "title": f"{scenario.get('title') or scenario.get('name', '')} ({self._recording.path.name})",
             "agents": self._recording.agent_count,
+            "crowd": crowd_words(str(scenario.get("crowd", {}).get("character", ""))),
             "seed": scenario.get("seed", 0),
             "frames": self._recording.frame_count,
             "frame_rate": self.frame_rate,

@@ -303,7 +303,14 @@ def test_ctrl_c_on_the_command(tmp_path: Path) -> None:
     """Given to all processes, as a terminal does: one line, and nobody is left behind."""
     command = [sys.executable, "-c", "from echelon.cli import main; main()", "sweep", "herd", "--seeds", "1-50"]
     command += ["--set", "seconds=60", "--workers", "2", "--out", "sweep", "--quiet"]
-    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+    def heed() -> None:
+        # A shell that runs the tests in the background lets its children ignore what Ctrl-C sends.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=heed
+    )
     deadline = time.monotonic() + 120.0
     while not list((tmp_path / "sweep" / "rows").glob("*.json")) and time.monotonic() < deadline:
         time.sleep(0.05)

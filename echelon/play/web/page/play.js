@@ -280,7 +280,7 @@
     retryIn = 400;
     document.title = `${message.title} · Echelon`;
     byId("title").textContent = message.title;
-    const crowd = message.mode === "herd" ? "robots" : "characters";
+    const crowd = message.crowd || "characters";
     byId("crowd").textContent = `${message.agents} ${crowd} · seed ${message.seed}`;
     byId("frames").textContent = Math.max(0, message.frames - 1);
     byId("seek").max = Math.max(0, message.frames - 1);
