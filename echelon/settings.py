@@ -14,9 +14,11 @@ from __future__ import annotations
 
 import difflib
 import math
+import tomllib
 import types
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from echelon.errors import InputError
@@ -252,3 +254,32 @@ def _toml_string(text: str) -> str:
         for c in text
     )
     return '"' + "".join(letters) + '"'
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------
+def text_of(path: Path) -> str:
+    """The text of a file.
+
+    Raises:
+        InputError: One line that says why it cannot be read.
+    """
+    try:
+        return path.read_text("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8: {error.reason}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{str(path)!r}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def toml_of(text: str, source: str) -> dict[str, Any]:
+    """The data of a TOML text; `source` names it in messages.
+
+    Raises:
+        InputError: One line that says what is wrong with it.
+    """
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise InputError(f"{source}: is not TOML: nested too deeply") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source}: is not TOML: {' '.join(str(error).split())}") from None

@@ -45,7 +45,6 @@ varies little under perturbation is robust.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -56,7 +55,7 @@ from echelon.agents.gymnasts.formulas import Formula, formula
 from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.script import Script
 from echelon.errors import InputError
-from echelon.settings import SettingError, Within, adopt, read, shown, suggestion
+from echelon.settings import SettingError, Within, adopt, read, shown, suggestion, text_of, toml_of
 
 _SHIPPED = resources.files("echelon.tuning") / "objectives"
 
@@ -319,12 +318,7 @@ def load_objective(name_or_path: str | Path) -> Objective:
     if path.suffix != ".toml":
         known = ", ".join(objective_names()) or "none"
         raise InputError(f"objective {str(name_or_path)!r}: must be the path of a .toml file, or one of {known}")
-    try:
-        return parse_objective(path.read_text("utf-8"), str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8: {error.reason}") from None
+    return parse_objective(text_of(path), str(path))
 
 
 def parse_objective(text: str, source: str) -> Objective:
@@ -333,10 +327,7 @@ def parse_objective(text: str, source: str) -> Objective:
     Raises:
         InputError: One line naming the file, the key and what is allowed.
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{source}: is not TOML: {error}") from None
+    data = toml_of(text, source)
     try:
         if "source" in data:
             raise SettingError("source", ": unknown key")

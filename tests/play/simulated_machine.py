@@ -37,6 +37,8 @@ SUCCESS, NOT_SUPPORTED, INCORRECT, FAILED, NOT_PERMITTED = 1, 2, 3, 4, 5  # thei
 SIMULATES_ROADS = bytes([0x83, 0x40, 0, 0, 0x0C, 0xE0, 0, 0])  # among what a usual trainer can
 SIMULATES_NO_ROADS = bytes([0x83, 0x40, 0, 0, 0x0C, 0x00, 0, 0])
 
+NOT_ASKED = "Echelon neither pairs with a machine nor looks at descriptors"
+
 QUICK = Timing(
     scan=0.05,
     connect=1.0,
@@ -172,17 +174,17 @@ class SimulatedClient(BaseBleakClient):
             self.handlers[uuid](data)
 
     async def pair(self, *args: Any, **settings: Any) -> None:
-        raise NotImplementedError
+        raise AssertionError(NOT_ASKED)
 
     async def unpair(self) -> None:
-        raise NotImplementedError
+        raise AssertionError(NOT_ASKED)
 
     async def read_gatt_char(self, characteristic: BleakGATTCharacteristic, **settings: Any) -> bytearray:
         assert characteristic.uuid == FEATURE
         return bytearray(self.machine.features)
 
     async def read_gatt_descriptor(self, descriptor: BleakGATTDescriptor, **settings: Any) -> bytearray:
-        raise NotImplementedError
+        raise AssertionError(NOT_ASKED)
 
     async def write_gatt_char(self, characteristic: BleakGATTCharacteristic, data: Any, response: bool) -> None:
         if not self.is_connected:
@@ -195,7 +197,7 @@ class SimulatedClient(BaseBleakClient):
             self.loop.call_soon(self.deliver, CONTROL_POINT, answer)
 
     async def write_gatt_descriptor(self, descriptor: BleakGATTDescriptor, data: Any) -> None:
-        raise NotImplementedError
+        raise AssertionError(NOT_ASKED)
 
     async def start_notify(
         self, characteristic: BleakGATTCharacteristic, callback: Callable[[bytearray], None], **settings: Any

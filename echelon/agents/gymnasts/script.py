@@ -36,7 +36,6 @@ parameters and of ``leg``, which is how far the ankle is from the hip when the l
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
@@ -53,7 +52,7 @@ from echelon.agents.gymnasts.measures import MEASURES
 from echelon.agents.gymnasts.poses import poses
 from echelon.agents.gymnasts.posture import balanced_legs, leg_angles
 from echelon.errors import InputError
-from echelon.settings import shown, suggestion
+from echelon.settings import shown, suggestion, text_of, toml_of
 from echelon.warp_kernels.reference import Body
 from echelon.warp_kernels.scripts import CAPTURES, CLAUSE_SIZE, CLAUSES, TRANSITION_SIZE, TRANSITIONS, ScriptLayout
 
@@ -203,12 +202,7 @@ def script_text(name_or_path: str | Path) -> tuple[str, str]:
     if path.suffix != ".toml":
         hint = suggestion(str(name_or_path), maneuver_names())
         raise InputError(f"maneuver {str(name_or_path)!r}: no such maneuver and no .toml file{hint}")
-    try:
-        return path.read_text("utf-8"), str(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8: {error.reason}") from None
+    return text_of(path), str(path)
 
 
 def parse_script(text: str, source: str) -> Script:
@@ -217,10 +211,7 @@ def parse_script(text: str, source: str) -> Script:
     Raises:
         InputError: One line naming the file, the key and what is allowed.
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{source}: is not TOML: {error}") from None
+    data = toml_of(text, source)
     for key in data:
         _known(source, "the file", key, FILE_KEYS)
     rows = data.get("row", [])

@@ -59,6 +59,7 @@ def test_individuals_differ_within_the_spread_whatever_the_count() -> None:
     ("text", "message"),
     [
         ("name = ", r"a\.toml: is not TOML"),
+        ("a = " + "[" * 5000, r"a\.toml: is not TOML: nested too deeply"),
         ("", "needs rows"),
         ("row = 3", "needs rows"),
         ("row = [3]", "needs rows"),
@@ -108,6 +109,7 @@ def test_files_that_are_none_are_said_so(tmp_path: Path) -> None:
     for path, message in (
         ("standing-back-somersalt", "did you mean 'standing-back-somersault'"),
         (tmp_path / "none.toml", "cannot be read"),
+        (tmp_path / "n\0ne.toml", "cannot be read"),
         (tmp_path / "latin.toml", "is not UTF-8"),
     ):
         with pytest.raises(InputError, match=message):
