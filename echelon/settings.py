@@ -268,7 +268,8 @@ def text_of(path: Path) -> str:
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not UTF-8: {error.reason}") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{str(path)!r}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        name = str(path) if str(path).isprintable() else repr(str(path))
+        raise InputError(f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
 
 def toml_of(text: str, source: str) -> dict[str, Any]:
