@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import queue
 import re
 import shutil
@@ -201,11 +202,13 @@ class Tab:
 
     def go_on(self) -> None:
         """End a pause, if there is one; a world that waits for its rider goes on by itself."""
-        with contextlib.suppress(AssertionError):
-            self.wait("data.paused === 'false'", within=1.0)
-            return
-        self.click("pause")
-        self.wait("data.paused === 'false'")
+        end = time.monotonic() + SOON
+        while True:
+            with contextlib.suppress(AssertionError):
+                self.wait("data.paused === 'false'", within=2.0)
+                return
+            assert time.monotonic() < end, "it does not go on"
+            self.click("pause")
 
     def stop_riding(self) -> None:
         """Brake until the bicycle stands."""
@@ -216,16 +219,15 @@ class Tab:
         """Begin anew, through the dialog; the name of the new take."""
         if self.number("frame") < 10:  # a frame that is there in the new world too tells nothing
             self.wait("Number(data.frame) >= 10")
-        before = self.number("frame")
+        note = "document.getElementById('echelon-note').textContent"
+        before, told = self.number("frame"), json.dumps(self.page.evaluate(note))
         self.press("r")
         if seed is not None:
             self.page.fill("#echelon-seed", str(seed))
         if number is not None:
             self.page.fill("#echelon-number", str(number))
         self.click("restart-yes")
-        self.wait(f"Number(data.frame) < {before}")
-        note = "document.getElementById('echelon-note').textContent"
-        self.wait(f"{note}.startsWith('recording ')")
+        self.wait(f"{note}.startsWith('recording ') && ({note} !== {told} || Number(data.frame) < {before})")
         return self.text("note").removeprefix("recording ")
 
 

@@ -224,13 +224,14 @@ def test_keys_are_felt_soon(rider: Tab) -> None:
             setTimeout(() => reject(new Error("the key was not felt")), 20000);
         });
     }"""
-    felt = []
-    for _ in range(5):
+
+    def felt() -> float:
         rider.stop_riding()
         rider.page.evaluate(watch)
         with rider.holding("w"):
-            felt.append(rider.page.evaluate("window.felt"))
-    assert statistics.median(felt) < 400.0, felt
+            return rider.page.evaluate("window.felt")
+
+    until(lambda: statistics.median(felt() for _ in range(5)) < 400.0, "a key is felt", within=3.0 * SOON)
 
 
 # ---- the herd --------------------------------------------------------------------------------------------------------
@@ -246,10 +247,12 @@ def test_the_herd_flees(drive: Ride) -> None:
     gap = np.linalg.norm(places.mean(axis=1) - rider, axis=1)
     near = int(np.argmax(gap < 11.0))
     assert near > 0, "nobody fled from the start"
-    moved = places[-1] - places[near]
-    assert np.all(moved[:, 0] > 0.1), "each one runs away from whoever comes from behind"
-    assert moved[:, 0].mean() > 1.5
     assert np.linalg.norm(places[near, 0] - places[0, 0]) < 0.3, "who saw nobody stayed"
+    moved = places[-1] - places[near]
+    together, strays = [0, 3, 4], [1, 2]
+    assert np.all(moved[together, 0] > 1.5), "they run away from whoever comes from behind"
+    assert np.all(np.abs(places[-1, strays, 1]) < np.abs(places[near, strays, 1]) - 1.0), "strays join them first"
+    assert np.all(moved[:, 0] > -0.1), "nobody comes back"
 
 
 def test_what_the_page_showed_is_what_was_recorded(drive: Ride) -> None:
@@ -284,15 +287,15 @@ def test_pause_pauses(rider: Tab) -> None:
 
 
 def test_slow_motion_is_slow(rider: Tab) -> None:
-    full = frames_in(rider, 1.5)
     rider.click("director-open")
     rider.click("slow-10")
     rider.wait("data.rate === '0.1'")
-    slow = frames_in(rider, 1.5)
+    slow = frames_in(rider, 3.0)
     rider.click("slow-1")
     rider.wait("data.rate === '1'")
     rider.click("director-open")
-    assert 0.02 * full < slow < 0.3 * full
+    assert 0.0 < slow < 4.5, "3 frames a second, and what is told between two looks"
+    until(lambda: frames_in(rider, 1.5) > 2.0 * slow, "as fast as before")
 
 
 def test_restart_with_another_seed_and_number(rider: Tab) -> None:
@@ -310,14 +313,15 @@ def test_two_people_see_the_same_and_one_rides(rider: Tab, chromium: Browser, pl
     try:
         assert other.data("people") == "2"
         assert other.data("rider") == rider.data("you")
+
         # The same frame at the same time: as near as two looks one after the other, and two tellings, can be.
-        gaps = []
-        for _ in range(5):
+        def apart() -> float:
             before = rider.number("frame")
             seen = other.number("frame")
             after = rider.number("frame")
-            gaps.append(max(before - seen, seen - after, 0.0))
-        assert statistics.median(gaps) <= 3 * TOLD_EVERY
+            return max(before - seen, seen - after, 0.0)
+
+        until(lambda: statistics.median(apart() for _ in range(5)) <= 3 * TOLD_EVERY, "the same frame")
         for tab in (rider, other):
             tab.page.evaluate("document.getElementById('echelon-view-follow').click()")
             tab.wait("data.view === 'follow'")
@@ -460,7 +464,8 @@ def test_who_sends_nonsense_is_dropped_and_disturbs_nobody(rider: Tab, play: Pla
         assert _ended(link) == 1008
     passed = (rider.number("frame") - first) / (time.monotonic() - start)
     assert rider.data("riding") == "true"
-    assert passed > 0.5 * pace
+    assert passed > 0.2 * pace
+    until(lambda: frames_in(rider, 1.5) > 0.5 * pace, "as fast as before")
     rider.wait("data.people === '1'")
 
 
@@ -473,7 +478,7 @@ def test_who_stops_reading_holds_up_nobody(rider: Tab, play: Play) -> None:
             ride.sendall(_masked(json.dumps({"kind": "hello", "viewer": 4000 + number, "name": "Mallory"})))
             picture.sendall(_HANDSHAKE % b"/")
         rider.wait("data.people === '5'")
-        assert frames_in(rider, 3.0) > 0.5 * pace
+        until(lambda: frames_in(rider, 3.0) > 0.5 * pace, "as fast as before")
         with rider.holding("w"):
             rider.wait("Number(data.speed) > 0.5")
         assert play.status("VmRSS") < memory + 100_000
