@@ -29,7 +29,6 @@ from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.riders.cyclist import Cyclist
 from echelon.agents.servo import ServoedBody
 from echelon.benchmarks.compile_time import compile_time
-from echelon.benchmarks.engine_report import LARGEST_STEP, SAME_STEP, print_table
 from echelon.benchmarks.engine_runs import CYCLIST, GYMNAST, HOPPER, character_of, start_run, stride_of
 from echelon.benchmarks.gymnast_run import STANDING_STRIDE
 from echelon.benchmarks.machine import machine_name, package_versions
@@ -43,9 +42,10 @@ from echelon.warp_kernels.program import Integrator
 if TYPE_CHECKING:
     from echelon.benchmarks.peer_runs import PeerRun
 
-__all__ = ["engine_row", "print_table", "run_engine_benchmark"]
-
 Progress = Callable[[int, int], None]
+
+SAME_STEP, LARGEST_STEP = "same step", "largest sane step"
+"""What a row measures: both engines at one step, or each at its own largest."""
 
 BODIES = (HOPPER, CYCLIST, GYMNAST, "male", "female")
 AGENTS = 512

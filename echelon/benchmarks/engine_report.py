@@ -20,10 +20,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-Row = dict[str, Any]
+from echelon.benchmarks.engine import LARGEST_STEP, SAME_STEP, run_engine_benchmark
 
-SAME_STEP, LARGEST_STEP = "same step", "largest sane step"
-"""What a row measures: both engines at one step, or each at its own largest."""
+Row = dict[str, Any]
 
 
 def _number(key: str, digits: int, scale: float = 1.0) -> Callable[[Row], str]:
@@ -247,8 +246,6 @@ Made by `python -m echelon.benchmarks.engine_report docs/benchmarks MACHINE`, wh
 
 def main(arguments: Sequence[str]) -> None:
     """Measure and write (see the module's text)."""
-    from echelon.benchmarks.engine import run_engine_benchmark
-
     if len(arguments) not in (1, 2):
         raise SystemExit("usage: python -m echelon.benchmarks.engine_report FOLDER [MACHINE]")
     folder = Path(arguments[0])

@@ -16,9 +16,9 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from echelon.agents.gymnasts.body import standing_q
 from echelon.agents.gymnasts.channels import LIMBS, NECK, NECK_JOINT, SIDES, SPINE, SPINE_JOINTS
 from echelon.agents.gymnasts.gymnast import ARMS_SPREAD, GAINS, SPINE_GAINS, Gymnast
+from echelon.agents.gymnasts.standing import standing_q
 from echelon.benchmarks.mujoco_peer import CoordinateOrder, JointSpring, peer_model, without_log
 from echelon.benchmarks.sanity import Verdict, fault_of_states
 from echelon.warp_kernels.model import ContactSite

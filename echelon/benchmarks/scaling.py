@@ -23,11 +23,8 @@ import echelon
 from echelon.benchmarks.machine import machine_name, package_versions
 from echelon.benchmarks.scaling_peers import AGENTS as PEER_AGENTS
 from echelon.benchmarks.scaling_peers import PACKAGES, WHAT, missing
-from echelon.benchmarks.scaling_report import print_table, write_files
 from echelon.benchmarks.scaling_scenes import KINDS, Kind, sizes_of
 from echelon.errors import InputError
-
-__all__ = ["print_table", "run_scaling_benchmark", "threads_of_text", "write_files"]
 
 Progress = Callable[[int, int], None]
 Row = dict[str, Any]

@@ -22,6 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 from echelon.benchmarks.engine_report import read_csv, write_csv
+from echelon.benchmarks.scaling import run_scaling_benchmark
 from echelon.errors import InputError
 
 Row = dict[str, Any]
@@ -358,8 +359,6 @@ Made by `python -m echelon.benchmarks.scaling_report docs/benchmarks MACHINE`, w
 
 def main(arguments: Sequence[str]) -> None:
     """Measure and write (see the module's text)."""
-    from echelon.benchmarks.scaling import run_scaling_benchmark
-
     if len(arguments) not in (1, 2):
         raise SystemExit("usage: python -m echelon.benchmarks.scaling_report FOLDER [MACHINE]")
     folder = Path(arguments[0])

@@ -369,8 +369,8 @@ def bench(
         from echelon.benchmarks.terrain import print_table
         from echelon.benchmarks.terrain import run_terrain_benchmark as run_benchmark
     else:
-        from echelon.benchmarks.engine import print_table
         from echelon.benchmarks.engine import run_engine_benchmark as run_benchmark
+        from echelon.benchmarks.engine_report import print_table
 
     with only_json(as_json), reporter.progress(f"bench {study}", "measurements") as progress:
         rows = run_benchmark(progress=progress)

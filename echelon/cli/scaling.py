@@ -56,7 +56,8 @@ def bench_scaling(
     reporter: Reporter, as_json: bool, out: Path | None, only: list[str] | None, most: int | None, threads: str | None
 ) -> None:
     """Measure, print, and write what was asked for."""
-    from echelon.benchmarks.scaling import print_table, run_scaling_benchmark, threads_of_text, write_files
+    from echelon.benchmarks.scaling import run_scaling_benchmark, threads_of_text
+    from echelon.benchmarks.scaling_report import print_table, write_files
 
     if out is not None and (out.is_file() or not out.absolute().parent.is_dir()):
         raise InputError(f"--out {out}: must be the name of a folder, in one that is there")

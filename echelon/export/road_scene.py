@@ -20,6 +20,8 @@ from echelon.export.scenery_assets import INDIVIDUAL_COLORS, obstacle, variant
 from echelon.export.shapes import Mesh
 from echelon.scenario.road import ObstacleSettings
 from echelon.terrain.course import Course
+from echelon.terrain.road_display import display_meshes
+from echelon.terrain.roadside import place_roadside
 from echelon.terrain.spline import Centreline
 from echelon.terrain.triangulation import TriangleMesh
 from echelon.warp_kernels.model import Vec3
@@ -126,7 +128,7 @@ def is_road(world: Mapping[str, Any]) -> bool:
 def road_scene(world: Mapping[str, Any]) -> RoadScene:
     """The scene of a recording's world that `is_road`."""
     course = Course.from_dict(world["course"])
-    surfaces = course.surfaces.display(TOLERANCE, LAND_TOLERANCE)
+    surfaces = display_meshes(course.surfaces, TOLERANCE, LAND_TOLERANCE)
     ground = DisplayedGround(np.concatenate([mesh.points[mesh.triangles] for mesh in surfaces]))
     parts = [_part(surface) for surface in surfaces]
     streets = _streets(course, ground)
@@ -211,7 +213,7 @@ class _PaintPieces:
 # ---- what stands there ---------------------------------------------------------------------------------------------
 def _placed(course: Course) -> tuple[PlacedKind, ...]:
     found = []
-    for kind, placement in course.roadside().items():
+    for kind, placement in place_roadside(course).items():
         if len(placement):
             palette = np.array(INDIVIDUAL_COLORS[kind])
             numbers = np.asarray(placement.colors)

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from echelon.agents.gymnasts.body import site_points, standing_q
 from echelon.agents.gymnasts.channels import SIDES
 from echelon.agents.gymnasts.gymnast import ARMS_SPREAD, Gymnast
 from echelon.agents.gymnasts.posture import channels_of
+from echelon.agents.gymnasts.standing import site_points, standing_q
 from echelon.recording import Actor
 from echelon.scenario import Scenario
 from echelon.simulation.casts import CastPart

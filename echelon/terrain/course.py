@@ -5,7 +5,7 @@ comes when the course is made: a `Course` that exists can be ridden.
 
 x points east, y north, z up; metres. The points of the centreline are given, everything else follows from them: the
 spline through them (`Course.centreline`), the surfaces (`Course.surfaces`), the land (`Course.land_height`), the
-markings (`Course.lines`), and what stands beside the road (`Course.roadside`).
+markings (`Course.lines`), and what stands beside the road (`roadside`).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from echelon.settings import SettingError, Within, adopt, plain, read, shown, su
 from echelon.terrain.land import LandHeights
 from echelon.terrain.markings import road_markings
 from echelon.terrain.spline import Centreline
+from echelon.terrain.track_road import TrackRoad, road_along
 
 if TYPE_CHECKING:
     from echelon.terrain.road import RoadSurfaces
-    from echelon.terrain.roadside import Roadside
 
 Point2 = tuple[float, float]
 Point3 = tuple[float, float, float]
@@ -176,12 +176,6 @@ class Course:
             self.centreline, self.half_width, self.verge, self.land_height, land_margin=self.land.margin
         )
 
-    def roadside(self) -> Roadside:
-        """Houses, trees, light posts and hydrants; the same for the same course."""
-        from echelon.terrain.roadside import place_roadside
-
-        return place_roadside(self)
-
     def lines(self) -> dict[str, np.ndarray]:
         """Paint on the road: "edge" and "centre" lines, the "start" and, of an open course, the "finish".
 
@@ -276,19 +270,39 @@ class Course:
     def load(cls, source: str | Path) -> Course:
         """Read a course by the name of one that ships with Echelon, from a .toml file, or from a GPS track (.gpx).
 
-        A track is imported with the defaults of `echelon.terrain.track_import.import_track`.
+        Along a track a road is laid with the defaults of `echelon.terrain.track_road.road_along`.
 
         Raises:
             InputError: One line that names file, key, value and what is allowed.
         """
         path = course_path(source)
         if path.suffix.lower() == ".gpx":
-            from echelon.terrain.track_import import import_track
-
-            return import_track(path).course
+            return cls.along(road_along(path))
         data = _parsed(path)
-        data.setdefault("name", "".join(c if c.isascii() and c.isalnum() else "-" for c in path.stem))
+        data.setdefault("name", _name_of(path))
         return cls.from_dict(data, source=_one_line(source))
+
+    @classmethod
+    def along(cls, road: TrackRoad, name: str = "") -> Course:
+        """The course of a road along a GPS track, named after its file if no name is given.
+
+        Raises:
+            InputError: One line that names the track's file and what the course may not be.
+        """
+        latitude, longitude = road.track.origin
+        try:
+            return cls(
+                name=name or _name_of(road.path),
+                title=road.track.title,
+                description=f"From a GPS track; the origin is at {latitude:.6f}, {longitude:.6f}.",
+                closed=road.track.closed,
+                width=road.width,
+                verge=road.verge,
+                points=tuple((x, y, z) for x, y, z in road.line.points.tolist()),
+            )
+        except SettingError as error:
+            where, bound = _one_line(road.path), f"(smoothed within {road.smooth:g} m)"
+            raise InputError(f"{where}: the course made of it: {error} {bound}") from None
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: str = "course") -> Course:
@@ -386,6 +400,11 @@ def _parsed(path: Path) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
         reason = "nested too deeply" if isinstance(error, RecursionError) else _one_line(error)
         raise InputError(f"{where}: not valid TOML: {reason}") from None
+
+
+def _name_of(path: Path) -> str:
+    """Of a course, after its file."""
+    return "".join(c if c.isascii() and c.isalnum() else "-" for c in path.stem)
 
 
 def _one_line(value: object) -> str:

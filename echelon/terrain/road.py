@@ -26,10 +26,9 @@ from echelon.errors import InputError
 from echelon.terrain.adaptive_triangulation import triangulate_adaptively
 from echelon.terrain.nurbs import NurbsSurface
 from echelon.terrain.quadtree import GroundTree, Quadtree, ground_plane
-from echelon.terrain.road_display import display_meshes
 from echelon.terrain.spline import Centreline
 from echelon.terrain.strip import HeightOf, RoadStrip
-from echelon.terrain.triangulation import TriangleMesh, triangulate
+from echelon.terrain.triangulation import triangulate
 from echelon.terrain.walls import SURFACE_WALL, WallGrid, grid_of_walls, wall_plane
 
 wp.set_module_options({"enable_backward": False})
@@ -225,20 +224,6 @@ class RoadSurfaces:
             )
         )
         return Quadtree.over([road, triangulate_adaptively(self.land, LAND_TOLERANCE, x, y, "land")])
-
-    def display(self, tolerance: float = 0.08, land_tolerance: float = 0.5) -> tuple[TriangleMesh, ...]:
-        """Flat triangles to be drawn: "road", "verge" and "land", which meet and do not overlap.
-
-        Args:
-            tolerance: Greatest distance of the asphalt from the surface, and of the lines along the verge [m];
-                across, verge and shoulder are each drawn flat.
-            land_tolerance: Of the land, which is coarser the farther it is from the road [m].
-
-        Returns:
-            The asphalt, with uv = (0 at the left edge to 1 at the right, arc length [m]); the ground beside it, with
-            uv = (offset [m], arc length [m]); and the land, with uv = (x, y) [m].
-        """
-        return display_meshes(self, tolerance, land_tolerance)
 
 
 def _land_surface(strip: RoadStrip, land: HeightOf, margin: float, spacing: float) -> NurbsSurface:

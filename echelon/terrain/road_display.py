@@ -7,15 +7,11 @@ of its own, closer where it is rough and near the road. What lies under the road
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.spatial import Delaunay
 
+from echelon.terrain.road import RoadSurfaces
 from echelon.terrain.triangulation import TriangleMesh
-
-if TYPE_CHECKING:
-    from echelon.terrain.road import RoadSurfaces
 
 LONGEST_CUT = 32.0  # [m] between cuts across the road
 SHORTEST_CUT = 0.5  # [m]
@@ -24,8 +20,21 @@ SMALLEST_SQUARE = 16.0  # [m]
 SQUARE_GROWTH = 0.6  # of the distance from the road that a square of land may be wide
 
 
-def display_meshes(surfaces: RoadSurfaces, tolerance: float, land_tolerance: float) -> tuple[TriangleMesh, ...]:
-    """The meshes "road", "verge" and "land"; see `RoadSurfaces.display`."""
+def display_meshes(
+    surfaces: RoadSurfaces, tolerance: float = 0.08, land_tolerance: float = 0.5
+) -> tuple[TriangleMesh, ...]:
+    """Flat triangles to be drawn: "road", "verge" and "land", which meet and do not overlap.
+
+    Args:
+        surfaces: Of a road and its land.
+        tolerance: Greatest distance of the asphalt from the surface, and of the lines along the verge [m]; across,
+            verge and shoulder are each drawn flat.
+        land_tolerance: Of the land, which is coarser the farther it is from the road [m].
+
+    Returns:
+        The asphalt, with uv = (0 at the left edge to 1 at the right, arc length [m]); the ground beside it, with
+        uv = (offset [m], arc length [m]); and the land, with uv = (x, y) [m].
+    """
     if not min(tolerance, land_tolerance) > 0.0:
         raise ValueError(f"tolerances are {tolerance} and {land_tolerance}; they must be greater than 0")
     cuts = _cuts(surfaces, tolerance)

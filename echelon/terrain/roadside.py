@@ -11,13 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import KDTree
 
-if TYPE_CHECKING:
-    from echelon.terrain.course import Course
+from echelon.terrain.course import Course
 
 KINDS = ("house", "tree", "lamp", "hydrant")
 

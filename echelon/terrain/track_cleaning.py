@@ -58,7 +58,7 @@ class CleanTrack:
 
 
 def clean_track(path: Path, where: str, smooth: float, gap: float, close: float, track: int) -> CleanTrack:
-    """Read a track and clean it; arguments as of `track_import.import_track`, `where` names the file in messages.
+    """Read a track and clean it; arguments as of `track_road.road_along`, `where` names the file in messages.
 
     Raises:
         InputError: One line that names the file, what is wrong, where in it, and what is allowed.

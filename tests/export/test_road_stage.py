@@ -19,6 +19,7 @@ from echelon.export.physics import write_physics
 from echelon.export.road_scene import PAINT_LIFT, TOLERANCE, RoadScene, road_scene
 from echelon.export.stage.motion import angular_velocities
 from echelon.export.usd import Representation, write_stage
+from echelon.terrain.roadside import SIZES, place_roadside
 from tests.export.road_ride import cyclist, ride_recording, small_course
 from tests.export.stage_validation import nvidia_issues, usd_errors
 
@@ -126,7 +127,7 @@ def test_side_streets_end_at_the_road(scene: RoadScene) -> None:
 
 
 def test_scenery_is_instanced_where_the_course_placed_it(stage: Any) -> None:
-    placed = small_course().roadside()
+    placed = place_roadside(small_course())
     count = 0
     for kind, placement in placed.items():
         instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath(f"{ROOT}/World/Roadside/{kind}s"))
@@ -237,8 +238,6 @@ def test_faces_of_assets_look_outwards(name: str) -> None:
 
 
 def test_assets_are_simple_and_of_the_sizes_that_the_roadside_keeps_free() -> None:
-    from echelon.terrain.roadside import SIZES
-
     for kind, names in scenery_assets.VARIANTS.items():
         for name in names:
             parts = scenery_assets.asset(name)

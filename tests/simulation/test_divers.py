@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from echelon.agents.gymnasts.body import site_points
+from echelon.agents.gymnasts.standing import site_points
 from echelon.errors import InputError
 from echelon.export.picture_source import RecordedSource
 from echelon.export.stage_source import StageSource

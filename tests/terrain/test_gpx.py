@@ -12,7 +12,8 @@ import pytest
 from echelon.errors import InputError
 from echelon.terrain.course import Course
 from echelon.terrain.map_projection import projected
-from echelon.terrain.track_import import LEAST_RADIUS, SMOOTH, Imported, import_track
+from echelon.terrain.track_import import Imported, import_track
+from echelon.terrain.track_road import LEAST_RADIUS, SMOOTH
 from tests.terrain.gps_tracks import degrees, document, ellipse, gpx, place, street_block, there_and_back, written
 
 

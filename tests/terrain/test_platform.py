@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from echelon.agents.characters import character_named
-from echelon.agents.gymnasts.body import site_points
 from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.script import load_script
+from echelon.agents.gymnasts.standing import site_points
 from echelon.benchmarks.thesis.dives import HEIGHT, ON_PLATFORM, divers
 from echelon.simulation.ground_below import ground_planes
 from echelon.simulation.performance import Performance

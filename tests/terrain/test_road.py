@@ -16,6 +16,7 @@ import warp as wp
 
 from echelon.errors import InputError
 from echelon.terrain.road import LAND_TOLERANCE, ROAD_TOLERANCE, RoadGround, RoadSurfaces, RoadTerrain, look_up_road
+from echelon.terrain.road_display import display_meshes
 from echelon.terrain.spline import Centreline
 from echelon.terrain.triangulation import TriangleMesh
 
@@ -266,7 +267,7 @@ def areas(mesh: TriangleMesh) -> np.ndarray:
 @pytest.mark.parametrize("make", ROADS)
 def test_drawn_meshes_cover_the_map_once(make: Make):
     surfaces = make()
-    meshes = surfaces.display(0.03)
+    meshes = display_meshes(surfaces, 0.03)
     assert [mesh.name for mesh in meshes] == ["road", "verge", "land"]
     (x0, x1), (y0, y1) = surfaces.land.range_u, surfaces.land.range_v
     for mesh in meshes:
@@ -278,7 +279,7 @@ def test_drawn_meshes_cover_the_map_once(make: Make):
 
 def test_drawn_meshes_are_near_the_ground():
     surfaces = winding()
-    road, verge, land = surfaces.display(0.03)
+    road, verge, land = display_meshes(surfaces, 0.03)
     for mesh, tolerance in ((road, 0.03), (verge, 0.15), (land, 1.0)):
         np.testing.assert_allclose(surfaces.height(mesh.points[:, :2]), mesh.points[:, 2], atol=2e-3)
         middle = mesh.points[mesh.triangles].mean(axis=1)
@@ -293,7 +294,7 @@ def test_drawn_meshes_are_near_the_ground():
 
 def test_land_meets_the_verge_at_shared_points():
     surfaces = winding()
-    _, verge, land = surfaces.display(0.03)
+    _, verge, land = display_meshes(surfaces, 0.03)
     rim = verge.points[np.abs(np.abs(verge.uv[:, 0]) - surfaces.strip.limit) < 1e-9]
     assert len(rim) > 100
     shared = {tuple(row) for row in np.round(land.points, 6).tolist()}

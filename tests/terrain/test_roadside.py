@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from echelon.terrain.course import Course, ScenerySettings
-from echelon.terrain.roadside import COLORS, KINDS, ROOM, SIZES, Roadside
+from echelon.terrain.roadside import COLORS, KINDS, ROOM, SIZES, Roadside, place_roadside
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def city() -> Course:
 
 @pytest.fixture(scope="module")
 def roadside(city: Course) -> Roadside:
-    return city.roadside()
+    return place_roadside(city)
 
 
 def reach_of(kind: str, scales: np.ndarray) -> np.ndarray:
@@ -114,22 +114,22 @@ def same(first: Roadside, second: Roadside, kind: str) -> bool:
 
 def test_the_same_course_has_the_same_and_another_seed_another() -> None:
     course = block()
-    first, again = course.roadside(), Course.from_dict(course.to_dict()).roadside()
+    first, again = place_roadside(course), place_roadside(Course.from_dict(course.to_dict()))
     assert all(same(first, again, kind) for kind in KINDS)
-    other = replace(course, seed=2).roadside()
+    other = place_roadside(replace(course, seed=2))
     assert not same(first, other, "tree")
 
 
 def test_a_kind_is_left_out_and_the_others_stay() -> None:
-    full, treeless = block().roadside(), block(tree_spacing=0).roadside()
+    full, treeless = place_roadside(block()), place_roadside(block(tree_spacing=0))
     assert len(treeless["tree"]) == 0
     assert treeless["tree"].positions.shape == (0, 3)
     assert all(same(full, treeless, kind) for kind in ("house", "lamp", "hydrant"))
-    none = block(**{f"{kind}_spacing": 0 for kind in KINDS}).roadside()
+    none = place_roadside(block(**{f"{kind}_spacing": 0 for kind in KINDS}))
     assert sum(len(placement) for placement in none.values()) == 0
 
 
 def test_spacing_decides_how_many() -> None:
-    few, many = (len(block(tree_spacing=spacing).roadside()["tree"]) for spacing in (60.0, 20.0))
+    few, many = (len(place_roadside(block(tree_spacing=spacing))["tree"]) for spacing in (60.0, 20.0))
     assert 2.0 < many / few < 4.0
     assert ScenerySettings().lamp_spacing > 0.0

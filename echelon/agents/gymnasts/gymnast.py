@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from echelon.agents.gymnasts.body import HEIGHTS, Sex, gymnast_body, standing_q
+from echelon.agents.gymnasts.body import HEIGHTS, Sex, gymnast_body
 from echelon.agents.gymnasts.channels import (
     CHANNELS,
     GROUPS,
@@ -59,11 +59,12 @@ from echelon.agents.gymnasts.measures import (
     total,
 )
 from echelon.agents.gymnasts.posture import channels_of
+from echelon.agents.gymnasts.standing import standing_q
 from echelon.warp_kernels.character import NO_EVENT, Population, View
 from echelon.warp_kernels.contact import JointForces
 from echelon.warp_kernels.reference import Body
 from echelon.warp_kernels.scripts import CAPTURED, PATH_PARTS, ScriptLayout, path_now
-from echelon.warp_kernels.spatial import Vector
+from echelon.warp_kernels.spatial import Vector, apply_transposed, cross
 from echelon.warp_kernels.trace import asin, clamp, logical_not, maximum, minimum, select, sincos
 
 GAINS: Mapping[str, tuple[float, float]] = {
@@ -432,6 +433,7 @@ class Gymnast:
         x, y = memory["row.push_x"], memory["row.push_y"]
         view.pushes["sternum"] = [c * x - s * y, s * x + c * y, 0.0]
         self._feel(view)
+        self._keep_momentum(view, joints, c, s)
 
     def _strength(self, view: View, speed: int) -> tuple[Any, Any] | None:
         """Greatest torques of an axis [N m], towards smaller and towards greater angles; None for any."""
@@ -456,6 +458,24 @@ class Gymnast:
         memory["hands_unloaded"] = select(hand > FEELS, 0.0, memory["hands_unloaded"] + view.step)
         memory["lying"] = select(other > FALL_FORCE, memory["lying"] + view.step, 0.0)
         memory["foot_force"], memory["hand_force"] = foot, hand
+
+    def _keep_momentum(self, view: View, joints: JointForces, c: Any, s: Any) -> None:
+        """In the air, a moment on the pelvis against what the step adds to the angular momentum L.
+
+        Semi-implicit Euler takes L, seen from the turning pelvis, ahead by -h omega x L where it should turn it, and
+        so lengthens it by h/2 |omega x L|^2 a second for each of its own: some percent in a fast twist. The next term
+        of that turn, h/2 omega x (omega x L) as a moment, leaves its length.
+        """
+        memory = view.memory
+        force = total([contact.normal_force for contact in view.contacts.values()])
+        airborne = select(force > 0.0, 0.0, 0.5 * view.implicit_step)
+        x, y = memory["momentum_x"], memory["momentum_y"]
+        in_world = [c * x - s * y, s * x + c * y, memory["momentum_z"]]
+        rotation, _ = view.kin.world(0)
+        omega = list(view.kin.omega[0])
+        moment = cross(omega, cross(omega, apply_transposed(rotation, in_world)))
+        for axis in range(3):
+            joints.tau[3 + axis] = joints.tau[3 + axis] + airborne * moment[axis]
 
     # ---- where joints are --------------------------------------------------------------------------------------------
     def _place(self, joint: str, axis: int) -> tuple[int, int]:

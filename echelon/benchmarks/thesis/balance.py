@@ -14,10 +14,11 @@ import numpy as np
 from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
 from echelon.agents.gymnasts.posture import positions_of
 from echelon.agents.gymnasts.script import Script, load_script
+from echelon.agents.gymnasts.standing import sole_points
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.published import DIRECTIONS, published_rows, rows_by_body
 from echelon.benchmarks.thesis.rows import Measured, Published
-from echelon.benchmarks.thesis.trials import STILL, gymnast_of, points_of_soles, speed_of, trials
+from echelon.benchmarks.thesis.trials import STILL, gymnast_of, speed_of, trials
 from echelon.simulation.performance import Performance
 from echelon.terrain.incline import InclineTerrain
 from echelon.warp_kernels.character import Population
@@ -60,7 +61,7 @@ def knee_bend(settings: FidelitySettings) -> list[Measured]:
         best = int(np.argmin(np.where(standing_through(run), np.abs(reached - height), np.inf)))
         track = q[:, best]
         center = character.body.center_of_mass(track)
-        margins = [margin(points_of_soles(character, pose), at) for pose, at in zip(track, center, strict=True)]
+        margins = [margin(sole_points(character.body, pose), at) for pose, at in zip(track, center, strict=True)]
         for row in rows:
             value = float(reached[best]) if row.quantity == "height of the hips" else min(margins)
             found.append(Measured(row, value))
@@ -191,7 +192,7 @@ def _on_slopes(
     q[:, :3] = 0.0
     for agent, grade in enumerate(grades):
         # The lowest point of the soles on the plane through the origin.
-        points = points_of_soles(character, q[agent])
+        points = sole_points(character.body, q[agent])
         q[agent, 0] -= points[:, 0].mean()
         points[:, 0] -= points[:, 0].mean()
         q[agent, 2] -= (points[:, 2] - grade * points[:, 0]).min() - 0.001

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.gymnasts.body import site_points
 from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.script import Script, load_script
+from echelon.agents.gymnasts.standing import site_points
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.published import published_rows
 from echelon.benchmarks.thesis.rows import Measured, Published

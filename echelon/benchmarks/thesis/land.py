@@ -15,11 +15,12 @@ from echelon.agents.gymnasts.channels import CHANNELS
 from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
 from echelon.agents.gymnasts.posture import positions_of
 from echelon.agents.gymnasts.script import Script
+from echelon.agents.gymnasts.standing import sole_points
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.leap import script_of, stands
 from echelon.benchmarks.thesis.published import published_rows, rows_by_body
 from echelon.benchmarks.thesis.rows import Measured, Published
-from echelon.benchmarks.thesis.trials import arrivals, filtered_peak, gymnast_of, in_frame, points_of_soles, trials
+from echelon.benchmarks.thesis.trials import arrivals, filtered_peak, gymnast_of, in_frame, trials
 from echelon.warp_kernels.character import Population
 
 SECONDS = 4.5  # from the start of a fall to long after the landing [s]
@@ -73,7 +74,7 @@ def in_the_air(
     targets = np.nan_to_num(table[0, : len(CHANNELS)].astype(np.float64))
     channels = dict(zip(CHANNELS, targets.tolist(), strict=True))
     q = np.tile(positions_of(body, channels), (len(speeds), 1))
-    soles = points_of_soles(character, q[0])[:, 2].min()
+    soles = sole_points(character.body, q[0])[:, 2].min()
     q[:, 2] += height - body.center_of_mass(q[0])[2] if falls is None else falls - soles
     u = np.zeros((len(speeds), body.u_count))
     u[:, 0] = speeds

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from echelon.agents.gymnasts.gymnast import Gymnast
+from echelon.agents.gymnasts.poses import inertia_tensor
 from echelon.agents.gymnasts.script import Script, load_script
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.published import rows_by_body
@@ -99,7 +100,7 @@ def leap(
     off = (seen["row"] >= row["push"]) & (seen["unloaded"] > IN_THE_AIR) & (seen["fallen"] < 0.5)
     left, airborne = np.asarray(off.any(axis=0)), np.argmax(off, axis=0)
     momentum = np.where(left, in_frame(seen["momentum_y"], airborne), np.nan)
-    inertia = np.array([turning_inertia(character, q) for q in in_frame(seen["q"], airborne)])
+    inertia = np.array([inertia_tensor(character.body, q)[1, 1] for q in in_frame(seen["q"], airborne)])
     return Leaps(
         rise=seen["com_height"].max(axis=0) - standing[:, 2],
         distance=body.center_of_mass(end.astype(np.float64))[:, 0] - standing[:, 0],
@@ -117,32 +118,6 @@ def stands(seen: Mapping[str, np.ndarray], touchdown: np.ndarray) -> np.ndarray:
     """Who is on its feet, upright and still, from `STANDS_AFTER` after touchdown to the end, shape [agents], bool."""
     on_feet = (seen["upright"] > UPRIGHT) & (seen["unloaded"] <= 0.0) & (seen["fallen"] < 0.5)
     return stays(on_feet & (speed_of(seen) < STILL), seen["time"], touchdown + STANDS_AFTER)
-
-
-def turning_inertia(character: Gymnast, q: np.ndarray) -> float:
-    """Moment of inertia about the lateral axis through the centre of mass [kg m^2], at q of shape [q_count]."""
-    body = character.body
-    q = q.astype(np.float64)
-    poses, center = body.link_poses(q), body.center_of_mass(q)
-    total = 0.0
-    for link, pose in zip(body.links, poses, strict=True):
-        rotation = _matrix(pose[3:])
-        arm = pose[:3] + rotation @ np.array(link.com) - center
-        own = rotation @ np.array(link.inertia) @ rotation.T
-        total += own[1, 1] + link.mass * (arm[0] ** 2 + arm[2] ** 2)
-    return float(total)
-
-
-def _matrix(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation of a unit quaternion (x, y, z, w)."""
-    x, y, z, w = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 # ---- vertical leaps --------------------------------------------------------------------------------------------------

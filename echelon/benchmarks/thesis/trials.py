@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from echelon.agents.characters import character_named
-from echelon.agents.gymnasts.body import FOOT_SITES, TOE_SITES, site_points
 from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.script import Script
 from echelon.benchmarks.thesis.experiments import FidelitySettings
@@ -29,12 +28,6 @@ def gymnast_of(sex: str) -> Gymnast:
     character = character_named(f"gymnast-{sex}")
     assert isinstance(character, Gymnast)
     return character
-
-
-def points_of_soles(character: Gymnast, q: np.ndarray) -> np.ndarray:
-    """The points of both soles [m], shape [points, 3]."""
-    names = {name for sites in (FOOT_SITES, TOE_SITES) for of_side in sites.values() for name in of_side}
-    return np.array([point for name, point in site_points(character.body, q).items() if name in names])
 
 
 def trials(

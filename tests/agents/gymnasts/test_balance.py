@@ -7,10 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from echelon.agents.gymnasts.body import leg_geometry, standing_q
+from echelon.agents.gymnasts.body import leg_geometry
 from echelon.agents.gymnasts.gymnast import Gymnast
 from echelon.agents.gymnasts.posture import balanced_legs, channels_of, middle_of_feet, positions_of
 from echelon.agents.gymnasts.script import load_script, maneuver_names
+from echelon.agents.gymnasts.standing import standing_q
 from echelon.benchmarks.thesis.balance import standing
 from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.trials import gymnast_of, trials

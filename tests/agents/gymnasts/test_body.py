@@ -19,9 +19,6 @@ from echelon.agents.gymnasts.body import (
     TOE_SITES,
     gymnast_body,
     leg_geometry,
-    site_points,
-    sole_middle,
-    standing_q,
 )
 from echelon.agents.gymnasts.joints import (
     AXIS_SIGN,
@@ -37,6 +34,7 @@ from echelon.agents.gymnasts.joints import (
     speed_index,
     split_side,
 )
+from echelon.agents.gymnasts.standing import site_points, sole_middle, standing_q
 from echelon.errors import InputError
 from echelon.warp_kernels.reference import Body
 

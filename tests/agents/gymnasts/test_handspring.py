@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from echelon.agents.gymnasts.body import HAND_SITES, site_points
+from echelon.agents.gymnasts.body import HAND_SITES
 from echelon.agents.gymnasts.gymnast import GAINS, Gymnast, gymnast
 from echelon.agents.gymnasts.joints import speed_index
 from echelon.agents.gymnasts.posture import positions_of
 from echelon.agents.gymnasts.script import Script, load_script
+from echelon.agents.gymnasts.standing import site_points
 from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.handspring import FAILURE, Handsprings, perform
 from echelon.benchmarks.thesis.trials import gymnast_of
