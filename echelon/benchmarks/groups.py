@@ -17,7 +17,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from echelon.benchmarks.engine_report import write_csv
+from echelon.benchmarks.csv_rows import write_csv
 from echelon.benchmarks.group_plots import write_summary
 from echelon.benchmarks.group_problems import ORCA, GroupTest, chosen_tests
 from echelon.benchmarks.group_run import Outcome, outcome, run_test

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from echelon.benchmarks.engine_report import read_csv, write_csv
+from echelon.benchmarks.csv_rows import read_csv, write_csv
 from echelon.benchmarks.group_plots import write_paths, write_summary
 from echelon.benchmarks.group_problems import ORCA, PAPER, chosen_tests
 from echelon.benchmarks.group_run import run_test

@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from echelon.benchmarks.engine_report import read_csv, write_csv
+from echelon.benchmarks.csv_rows import read_csv, write_csv
 from echelon.benchmarks.scaling import run_scaling_benchmark
 from echelon.errors import InputError
 

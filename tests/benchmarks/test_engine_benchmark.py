@@ -14,8 +14,9 @@ from rich.console import Console
 
 from echelon.agents.hopper import HIP_SPEED, Hopper
 from echelon.benchmarks import engine
+from echelon.benchmarks.csv_rows import read_csv, write_csv
 from echelon.benchmarks.engine import engine_row, ladders_of, run_engine_benchmark
-from echelon.benchmarks.engine_report import page, print_table, read_csv, write_csv, write_page
+from echelon.benchmarks.engine_report import page, print_table, write_page
 from echelon.benchmarks.engine_runs import character_of, stride_of
 from echelon.errors import InputError
 from echelon.warp_kernels.character import View

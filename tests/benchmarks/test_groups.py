@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from echelon.benchmarks.engine_report import read_csv
+from echelon.benchmarks.csv_rows import read_csv
 from echelon.benchmarks.group_plots import write_paths
 from echelon.benchmarks.group_problems import GROUPS, ORCA, PAPER, PROBLEMS, Group, GroupTest, chosen_tests
 from echelon.benchmarks.group_run import Track, outcome, recovery_time, track

@@ -11,7 +11,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from echelon.agents.bodies import body_names
-from echelon.benchmarks.engine_report import read_csv
+from echelon.benchmarks.csv_rows import read_csv
 from echelon.benchmarks.thesis import (
     EXPERIMENTS,
     FidelityRow,

@@ -84,11 +84,15 @@ def test_a_rank_that_dies_ends_the_job_and_the_same_command_goes_on(tmp_path: Pa
 
 def test_a_dask_cluster_that_is_there_already(tmp_path: Path, deadly: ModuleType) -> None:
     """With a run that kills its workers: it alone is marked as failed."""
-    distributed = pytest.importorskip("distributed")
+    dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
     place = tmp_path / "sweep"
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1", silence_logs=50
-    ) as cluster:
+    # Whoever still wants to talk to a worker that died gives up soon.
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "8s"}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1", silence_logs=50
+        ) as cluster,
+    ):
         result = sweep("herd", seeds=[1, 13, 2], out=place, executor="dask", dask_address=cluster.scheduler_address)
     assert result is not None
     assert [row["status"] for row in result.rows] == ["done", "failed", "done"]

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from echelon.benchmarks.engine_report import write_csv
+from echelon.benchmarks.csv_rows import write_csv
 from echelon.benchmarks.thesis.plots import write_pages
 from echelon.benchmarks.thesis.published import EXPERIMENTS
 from echelon.benchmarks.thesis.rows import FidelityRow, Range

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from echelon.benchmarks.thesis.dives import DIVES, SEED, dive
 from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.published import published_rows
 from echelon.benchmarks.thesis.trials import gymnast_of
+from echelon.scenario import Scenario
+from echelon.simulation import simulate
 
 SETTINGS = FidelitySettings(threads=1)
 ROWS = {
@@ -46,3 +49,18 @@ def test_the_opening_waits_for_rotation() -> None:
     usual = script.parameters["open_at"].value
     dives = dive(character, script, [{"open_at": usual + by} for by in (-1.0, -0.5, 0.0, 0.5)], SETTINGS)
     assert (np.diff(dives.somersault) > 0.3).all()
+
+
+def test_the_fastest_twist_keeps_its_momentum(tmp_path: Path) -> None:
+    """Two and a half twists in a second, servos at work: what the step would add is some percent a second."""
+    recording = simulate(Scenario.load(DIVES["back 1 1/2 with 2 1/2 twists"]), recording=tmp_path / "dive", threads=1)
+
+    def measured(name: str) -> np.ndarray:
+        return recording.measures[:, 0, recording.measure_names.index(name)]
+
+    momentum = np.linalg.norm([measured(f"momentum_{axis}") for axis in "xyz"], axis=0)
+    twist = np.abs(measured("twist"))
+    flight = (measured("foot_force") == 0.0) & (measured("vz") < 3.0) & (measured("com_height") > 1.0)
+    flight[: np.flatnonzero(flight & (twist > 0.01))[0]] = False
+    assert twist[flight].max() > math.radians(850.0)
+    np.testing.assert_allclose(momentum[flight], momentum[flight][0], rtol=5e-3)
