@@ -82,6 +82,13 @@ class PerformanceSettings:
         waiting: The maneuver whose first row they do while they wait.
         heading: Which way they face, from x towards y [rad].
         lean: By how much their centre of mass starts ahead of the middle of their feet [m].
+        drop: From how high above the ground their soles fall, in the posture of their maneuver's first row; 0 lets them
+            stand [m].
+        drop_spread: Each falls from higher than that by up to this [m].
+        drop_speed: How fast they are on their way forward when they are let go [m/s].
+        soft_mat: Whether the ground is a gymnastics mat underfoot, four times softer than a floor.
+        joint_limits: Whether joints have soft stops where a human's end.
+        strength_limits: Whether joints are no stronger than a trained human's.
         casts: Bodies that a troupe is made of; none for that of the crowd's character.
         scripts: Maneuvers that are kept here, not in files; a recording's scenario has all of them.
     """
@@ -96,6 +103,12 @@ class PerformanceSettings:
     waiting: str = "stand"
     heading: Annotated[float, Within("rad", at_least=-100, at_most=100)] = 0.0
     lean: Annotated[float, Within("m", at_least=-0.2, at_most=0.2)] = 0.0
+    drop: Annotated[float, Within("m", at_least=0, at_most=20)] = 0.0
+    drop_spread: Annotated[float, Within("m", at_least=0, at_most=20)] = 0.0
+    drop_speed: Annotated[float, Within("m/s", at_least=-10, at_most=10)] = 0.0
+    soft_mat: bool = False
+    joint_limits: bool = False
+    strength_limits: bool = False
     casts: tuple[CastSettings, ...] = ()
     scripts: tuple[ScriptSettings, ...] = ()
 
@@ -103,10 +116,25 @@ class PerformanceSettings:
         _adopt_with_maneuvers(self, "performance")
         if not self.maneuver:
             raise SettingError("performance.maneuver", " = []: must name at least one maneuver")
+        self._check_drop()
         names = [script.name for script in self.scripts]
         for name in names:
             if names.count(name) > 1:
                 raise SettingError("performance.scripts.name", f" = {shown(name)}: stands twice; names must differ")
+
+    def _check_drop(self) -> None:
+        """Nobody waits in the air, and who stands is not on the way."""
+        if self.falls:
+            for key in ("delay", "delay_spread", "lean"):
+                if getattr(self, key) != 0.0:
+                    raise SettingError(f"performance.{key}", f" = {getattr(self, key):g}: must be 0 for who is dropped")
+        elif self.drop_speed != 0.0:
+            raise SettingError("performance.drop_speed", f" = {self.drop_speed:g}: needs performance.drop above 0")
+
+    @property
+    def falls(self) -> bool:
+        """Whether they start in the air."""
+        return self.drop + self.drop_spread > 0.0
 
 
 def _adopt_with_maneuvers(record: Any, key: str) -> None:

@@ -52,16 +52,20 @@ def casts_of(scenario: Scenario) -> tuple[CastPart, ...]:
     Raises:
         InputError: There is no such character, or no such body.
     """
-    casts = scenario.performance.casts if scenario.performance is not None else ()
+    performance = scenario.performance
+    casts = performance.casts if performance is not None else ()
+    limits = (False, False, False)
+    if performance is not None:
+        limits = (performance.soft_mat, performance.joint_limits, performance.strength_limits)
     count = scenario.crowd.count
     if not casts:
-        character = character_named(scenario.crowd.character)
+        character = _character(scenario.crowd.character, 0.0, 0.0, 0.0, *limits)
         return (CastPart(character.name, character, 0, count),)
     parts: list[CastPart] = []
     first = 0
     for cast, size in zip(casts, _sizes([cast.share for cast in casts], count), strict=True):
         if size:
-            character = _character(cast.character, cast.height, cast.mass, cast.backpack)
+            character = _character(cast.character, cast.height, cast.mass, cast.backpack, *limits)
             name = _unused(cast.name or cast.character, [part.name for part in parts])
             parts.append(CastPart(name, character, first, size, cast))
             first += size
@@ -69,12 +73,23 @@ def casts_of(scenario: Scenario) -> tuple[CastPart, ...]:
 
 
 @lru_cache(maxsize=32)
-def _character(name: str, height: float, mass: float, backpack: float) -> Gymnast | Character:
+def _character(
+    name: str, height: float, mass: float, backpack: float, mat: bool, joint_limits: bool, strength_limits: bool
+) -> Gymnast | Character:
     """A character of a size; made once, so that what was traced and compiled for it is found again."""
-    if height == mass == backpack == 0.0:
+    if not (height or mass or backpack or mat or joint_limits or strength_limits):
         return character_named(name)
     sex: Sex = "female" if name.endswith("-female") else "male"
-    return gymnast(sex, backpack=backpack, height=height or None, mass=mass or None, name=name)
+    return gymnast(
+        sex,
+        backpack=backpack,
+        height=height or None,
+        mass=mass or None,
+        name=name,
+        mat=mat,
+        joint_limits=joint_limits,
+        strength_limits=strength_limits,
+    )
 
 
 def _sizes(shares: Sequence[float], count: int) -> list[int]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from echelon.agents.gymnasts.airborne import in_the_air
 from echelon.agents.gymnasts.channels import SIDES
 from echelon.agents.gymnasts.gymnast import ARMS_SPREAD, Gymnast
 from echelon.agents.gymnasts.posture import channels_of
@@ -22,7 +23,7 @@ from echelon.recording import Actor
 from echelon.scenario import Scenario
 from echelon.simulation.casts import CastPart
 from echelon.simulation.ground_below import ground_planes
-from echelon.simulation.roles import Roles, roles_of
+from echelon.simulation.roles import Roles, evenly, roles_of
 from echelon.simulation.scene import SceneFrames
 from echelon.terrain.flat import FlatTerrain
 from echelon.terrain.platform import PlatformTerrain
@@ -104,7 +105,9 @@ class Gym:
             body = cast.character.body
             if settings.lean != 0.0:
                 people = leaning(cast.character, people, settings.lean)
-            self._starting_heights[cast.first : cast.first + cast.count] = body.center_of_mass(people.q[0])[2]
+            if settings.falls:
+                people = self._dropped(cast, people)
+            self._starting_heights[cast.first : cast.first + cast.count] = body.center_of_mass(people.q[own])[:, 2]
             balls.append(np.full(cast.count, site_points(body, people.q[0])["left_ball_inner"][0]))
             rows = people.q[own].copy()
             rows[:, 3:7] = quaternion_product(turn, rows[0, 3:7].tolist())
@@ -123,6 +126,27 @@ class Gym:
             ),
             self._places(np.concatenate(balls), settings.heading),
         )
+
+    def _dropped(self, cast: CastPart, people: Population) -> Population:
+        """A cast in the air, each in the posture in which its maneuver begins."""
+        settings = self.scenario.performance
+        assert settings is not None
+        assert isinstance(cast.character, Gymnast)
+        tables, which = self.roles.tables
+        spread = evenly(len(people.q), self.scenario.population_seed, "drop")
+        falls = settings.drop + settings.drop_spread * spread
+        forward = np.array([math.cos(settings.heading), math.sin(settings.heading)])
+        q, u = people.q.copy(), people.u.copy()
+        memory = {name: np.array(values) for name, values in people.memory.items()}
+        for table in np.unique(which[cast.agents]):
+            those = np.array(cast.agents)[which[cast.agents] == table]
+            speeds = np.full(len(those), settings.drop_speed)
+            dropped = in_the_air(cast.character, tables[table], speeds, falls=falls[those])
+            q[those], u[those] = dropped.q, dropped.u
+            u[those, :2] = speeds[:, None] * forward
+            for name, values in dropped.memory.items():
+                memory.setdefault(name, np.full(len(q), cast.character.memory[name]))[those] = values
+        return replace(people, q=q, u=u, memory=memory)
 
     def _places(self, balls: np.ndarray, heading: float) -> np.ndarray:
         """Where everybody starts on the ground [m], shape [agents, 3]; casts are mixed among the places.

@@ -142,9 +142,9 @@ def roles_of(scenario: Scenario, casts: Sequence[CastPart]) -> Roles:
     scripts = {name: parse_script(text, name) for name, text in texts.items()}
     seed, count = scenario.population_seed, scenario.crowd.count
     varied = {name: script.varied(count, seed, performance.variation) for name, script in scripts.items()}
-    delays = performance.delay + performance.delay_spread * _even(count, seed, "delay")
+    delays = performance.delay + performance.delay_spread * evenly(count, seed, "delay")
     waits = performance.delay + performance.delay_spread > 0.0
-    chances = _even(count, seed, "maneuver")
+    chances = evenly(count, seed, "maneuver")
     roles: list[Role] = []
     for cast in casts:
         maneuvers = performance.maneuver
@@ -179,11 +179,11 @@ def _check_parameters(parameters: Mapping[str, Any], scripts: Sequence[Script], 
 def _drawn(value: Any, count: int, seed: int, name: str) -> np.ndarray:
     """A parameter of each agent: a number for all, or evenly between two."""
     if isinstance(value, list | tuple) and len(value) == 2:
-        return value[0] + (value[1] - value[0]) * _even(count, seed, f"parameter {name}")
+        return value[0] + (value[1] - value[0]) * evenly(count, seed, f"parameter {name}")
     return np.full(count, value[0] if isinstance(value, list | tuple) else value, dtype=np.float64)
 
 
-def _even(count: int, seed: int, what: str) -> np.ndarray:
+def evenly(count: int, seed: int, what: str) -> np.ndarray:
     """A number from 0 to 1 for each agent, evenly distributed; agent i's does not depend on the count."""
     key = np.array([seed, zlib.crc32(what.encode())], dtype=np.uint64)
     bits = np.random.Philox(key=key).random_raw(count)

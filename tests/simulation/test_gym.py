@@ -260,3 +260,66 @@ def test_wrong_settings_are_one_line(changes: dict[str, Any], message: str) -> N
     data = {"name": "x", "crowd": {"character": "gymnast-male", "count": 2}, "world": {"ground": "plane"}, **changes}
     with pytest.raises(InputError, match=message):
         Scenario.from_dict(data)
+
+
+# ---- dropped ---------------------------------------------------------------------------------------------------------
+def dropping(**performance: Any) -> Scenario:
+    return Scenario.from_dict(
+        {
+            "name": "drop",
+            "seconds": 2.5,
+            "crowd": {"character": "gymnast-male", "positions": [[0.0, 0.0], [0.0, 3.0], [0.0, 6.0]]},
+            "world": {"ground": "mat"},
+            "performance": {"maneuver": "drop-landing", "drop": 0.5, "drop_spread": 0.4, **performance},
+        }
+    )
+
+
+def test_who_is_dropped_falls_from_that_high_and_lands_balanced(tmp_path: Path) -> None:
+    recording = simulate(dropping(), recording=tmp_path / "drop", threads=1)
+    body = casts_of(dropping())[0].character.body
+    feet = [body.link_index(name) for name in ("left_foot", "right_foot")]
+    heights = recording.link_poses[:, :, feet, 2].min(axis=2)
+    falls = heights[0] - heights[-1]
+    assert falls.min() > 0.5
+    assert falls.max() < 0.9
+    assert np.ptp(falls) > 0.05, "no two fall alike"
+    landed = np.argmax(recording.measures[:, :, recording.measure_names.index("foot_force")] > 0.0, axis=0) / 30.0
+    np.testing.assert_allclose(landed, np.sqrt(2.0 * falls / 9.81), atol=0.05)
+    assert recording.summary["balanced"] == 3
+
+
+def test_who_is_dropped_on_the_way_goes_where_it_faces() -> None:
+    simulation = Simulation(dropping(drop_speed=2.0, heading=0.5), threads=1)
+    u = simulation.engine.u
+    np.testing.assert_allclose(u[:, :2], [[2.0 * math.cos(0.5), 2.0 * math.sin(0.5)]] * 3, rtol=1e-6)
+    assert np.all(u[:, 2:] == 0.0)
+    simulation.close()
+
+
+@pytest.mark.parametrize(
+    ("performance", "message"),
+    [
+        ({"delay": 1.0}, r"performance\.delay = 1: must be 0 for who is dropped"),
+        ({"lean": 0.05}, r"performance\.lean = 0.05: must be 0 for who is dropped"),
+        ({"drop": 0.0, "drop_spread": 0.0, "drop_speed": 1.0}, r"drop_speed = 1: needs performance\.drop above 0"),
+        ({"drop": -1.0}, r"performance\.drop = -1"),
+    ],
+)
+def test_nobody_waits_in_the_air(performance: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        dropping(**performance)
+
+
+def test_mats_and_limits_are_everybodys() -> None:
+    (usual,), (mat,) = casts_of(dropping()), casts_of(dropping(soft_mat=True))
+    (limited,) = casts_of(dropping(joint_limits=True, strength_limits=True))
+    stiffness = [part.character.body.contacts[0].stiffness for part in (usual, mat, limited)]
+    assert stiffness[0] == pytest.approx(4.0 * stiffness[1])
+    assert stiffness[2] == stiffness[0]
+    assert isinstance(limited.character, Gymnast)
+    assert limited.character.strongest is not None
+    assert any(link.joint.limits for link in limited.character.body.links)
+    assert not any(link.joint.limits for link in usual.character.body.links)
+    (again,) = casts_of(dropping(soft_mat=True))
+    assert again.character is mat.character

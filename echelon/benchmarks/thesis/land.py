@@ -11,17 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.agents.gymnasts.channels import CHANNELS
+from echelon.agents.gymnasts.airborne import in_the_air
 from echelon.agents.gymnasts.gymnast import Gymnast, gymnast
-from echelon.agents.gymnasts.posture import positions_of
 from echelon.agents.gymnasts.script import Script
-from echelon.agents.gymnasts.standing import sole_points
 from echelon.benchmarks.thesis.experiments import FidelitySettings, Measure
 from echelon.benchmarks.thesis.leap import script_of, stands
 from echelon.benchmarks.thesis.published import published_rows, rows_by_body
 from echelon.benchmarks.thesis.rows import Measured, Published
 from echelon.benchmarks.thesis.trials import arrivals, filtered_peak, gymnast_of, in_frame, trials
-from echelon.warp_kernels.character import Population
 
 SECONDS = 4.5  # from the start of a fall to long after the landing [s]
 FINE_FRAME_RATE = 1200
@@ -56,30 +53,6 @@ class Landings:
     feet_ahead: np.ndarray
     speed_at_balance: np.ndarray
     seen: Mapping[str, np.ndarray]
-
-
-def in_the_air(
-    character: Gymnast, table: np.ndarray, speeds: np.ndarray, *, falls: np.ndarray | None = None, height: float = 0.0
-) -> Population:
-    """Gymnasts in the posture of a table's first row, above the ground.
-
-    Args:
-        character: Who.
-        table: Of a script, shape [rows, row size].
-        speeds: Forward [m/s], shape [agents].
-        falls: How high their soles are [m], shape [agents]; None where the centre of mass counts.
-        height: Of the centre of mass [m], where `falls` is None.
-    """
-    body = character.body
-    targets = np.nan_to_num(table[0, : len(CHANNELS)].astype(np.float64))
-    channels = dict(zip(CHANNELS, targets.tolist(), strict=True))
-    q = np.tile(positions_of(body, channels), (len(speeds), 1))
-    soles = sole_points(character.body, q[0])[:, 2].min()
-    q[:, 2] += height - body.center_of_mass(q[0])[2] if falls is None else falls - soles
-    u = np.zeros((len(speeds), body.u_count))
-    u[:, 0] = speeds
-    memory = character.remembering({name: np.full(len(speeds), value) for name, value in channels.items()})
-    return Population(q=q, u=u, parameters={}, memory=memory)
 
 
 def land(
