@@ -75,9 +75,21 @@ def measure(kind: Kind, agents: int, threads: Sequence[int], rounds: int = ROUND
                     best[count] = cost
                 unrecorded[count] = min(unrecorded.get(count, math.inf), _unrecorded(scene, few, count))
         sane, why = _judged(found, agents)
+        best, unrecorded = _pooled(best, unrecorded)
         return [
             _row(scene, frames, count, threads[0], best, unrecorded, memory, sane, why, found[0]) for count in threads
         ]
+
+
+def _pooled(
+    costs: Mapping[int, RunCost], unrecorded: Mapping[int, float]
+) -> tuple[dict[int, RunCost], dict[int, float]]:
+    """The fastest of all runs that took the same number of threads, whether asked for or chosen: they are the same."""
+    alike = {count: [c for c in costs if costs[c].threads == costs[count].threads] for count in costs}
+    return (
+        {count: min((costs[c] for c in those), key=_loop_seconds) for count, those in alike.items()},
+        {count: min(unrecorded[c] for c in those) for count, those in alike.items()},
+    )
 
 
 def _run(scene: Scene, frames: int, threads: int, folder: Path) -> tuple[RunCost, dict[str, Any]]:

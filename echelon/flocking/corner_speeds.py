@@ -19,7 +19,8 @@ import warp as wp
 
 from echelon.flocking.road_riders import SHORTEST_PART
 from echelon.scenario.road import PelotonSettings
-from echelon.terrain.spline import Centreline, CentrelineData
+from echelon.terrain.spline import Centreline
+from echelon.terrain.spline_kernels import CentrelineData
 
 wp.set_module_options({"enable_backward": False})
 

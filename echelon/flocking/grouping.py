@@ -21,7 +21,7 @@ from __future__ import annotations
 import warp as wp
 
 from echelon.flocking.road_riders import RIDING, UNFINISHED, RidersSeen, RoadRiders, RoadRules, line_gap
-from echelon.terrain.spline import CentrelineData
+from echelon.terrain.spline_kernels import CentrelineData
 
 wp.set_module_options({"enable_backward": False})
 

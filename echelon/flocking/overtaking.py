@@ -33,7 +33,7 @@ from echelon.flocking.road_riders import (
     is_before,
     planned_lane,
 )
-from echelon.terrain.spline import CentrelineData
+from echelon.terrain.spline_kernels import CentrelineData
 
 wp.set_module_options({"enable_backward": False})
 

@@ -27,7 +27,7 @@ import warp as wp
 
 from echelon.flocking.bicycle import GRAVITY, Bicycle, BicycleLimits
 from echelon.flocking.road_riders import RoadRiders, RoadRules
-from echelon.terrain.spline import CentrelineData, centreline_grade
+from echelon.terrain.spline_kernels import CentrelineData, centreline_grade
 
 wp.set_module_options({"enable_backward": False})
 

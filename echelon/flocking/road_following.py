@@ -32,7 +32,7 @@ from echelon.flocking.road_riders import (
     on_map,
     sideways_limit,
 )
-from echelon.terrain.spline import CentrelineData, centreline_curvature, centreline_position
+from echelon.terrain.spline_kernels import CentrelineData, centreline_curvature, centreline_position
 from echelon.warp_kernels.neighbours import CellTable
 
 wp.set_module_options({"enable_backward": False})

@@ -22,7 +22,8 @@ import warp as wp
 from echelon.errors import InputError
 from echelon.flocking.road_riders import RoadRiders, RoadRules, left_of, level_tangent, line_gap, sideways_limit
 from echelon.scenario.road import ObstacleSettings, PelotonSettings
-from echelon.terrain.spline import Centreline, CentrelineData, centreline_grade, centreline_position
+from echelon.terrain.spline import Centreline
+from echelon.terrain.spline_kernels import CentrelineData, centreline_grade, centreline_position
 
 wp.set_module_options({"enable_backward": False})
 

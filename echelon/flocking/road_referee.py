@@ -20,7 +20,7 @@ import warp as wp
 from echelon.flocking.referee import PARTNER_LIMIT, enter_partner
 from echelon.flocking.road_obstacles import RoadObstacles
 from echelon.flocking.road_riders import ABSENT, UNFINISHED, RoadRiders, RoadRules, left_of, level_tangent, line_gap
-from echelon.terrain.spline import CentrelineData, centreline_curvature
+from echelon.terrain.spline_kernels import CentrelineData, centreline_curvature
 from echelon.warp_kernels.atomics import atomic_increase
 from echelon.warp_kernels.neighbours import NOBODY, CellTable, cell_entry, is_somewhere
 from echelon.warp_kernels.replay import Phase, Share

@@ -20,12 +20,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from echelon.terrain.spline import (
-    CentrelineData,
-    centreline_closest,
-    centreline_curvature,
-    centreline_tangent,
-)
+from echelon.terrain.spline_kernels import CentrelineData, centreline_closest, centreline_curvature, centreline_tangent
 from echelon.warp_kernels.neighbours import CellTable, enter_agent, is_somewhere, nearest_neighbours
 
 wp.set_module_options({"enable_backward": False})

@@ -29,7 +29,7 @@ from echelon.flocking.person import BRAKES, no_controls, person_body, ride_on_ro
 from echelon.flocking.road_riders import RoadRiders, RoadRules, level_tangent
 from echelon.scenario import WorldSettings
 from echelon.scenario.road import UserSettings
-from echelon.terrain.spline import (
+from echelon.terrain.spline_kernels import (
     CentrelineData,
     centreline_closest,
     centreline_curvature,

@@ -1,6 +1,6 @@
 """Equations of motion of a tree of rigid links: the articulated-body algorithm, written once over scalars.
 
-After Featherstone, *Rigid Body Dynamics Algorithms* (2008): kinematics and recursive Newton-Euler of chapter 5, the
+After Featherstone, *Rigid Body Dynamics Algorithms* (2008): recursive Newton-Euler of chapter 5 over `kinematics`, the
 articulated-body algorithm of chapter 7, in link coordinates and with its symbols (I_A, p_A, U, D, u). Three choices
 differ from the book, each because it makes straight-line code shorter:
 
@@ -23,12 +23,12 @@ is the Cholesky-like factorisation of its block D, and needs no matrix inverse.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from echelon.warp_kernels.model import AXIS_COUNT, Model
+from echelon.warp_kernels.kinematics import Kinematics, velocity_product
 from echelon.warp_kernels.spatial import (
     Matrix,
     Vector,
@@ -45,232 +45,14 @@ from echelon.warp_kernels.spatial import (
     is_zero,
     multiply,
     negate,
-    quaternion_matrix,
     scale,
     skew,
     subtract,
     transpose,
 )
-from echelon.warp_kernels.trace import sincos
+from echelon.warp_kernels.tree import Node, Tree
 
-NodeKind = Literal["free", "ball", "revolute", "prismatic"]
 AXES: tuple[Vector, Vector, Vector] = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
-
-
-@dataclass(frozen=True)
-class Node:
-    """One step of the tree: a free or ball joint, or a single axis of any other joint.
-
-    Attributes:
-        parent: Index of the node it hangs on, -1 for the world.
-        axis: Unit axis; unused for free and ball.
-        offset: Origin in the parent node's frame [m].
-        q, u: Index of its first coordinate and speed.
-        link: Index of the link that moves with it, None for a massless intermediate.
-        continuous: Whether it turns without end (see `Joint`).
-    """
-
-    parent: int
-    kind: NodeKind
-    axis: tuple[float, float, float]
-    offset: tuple[float, float, float]
-    q: int
-    u: int
-    link: int | None
-    continuous: bool = False
-
-
-@dataclass(frozen=True)
-class LinkInertia:
-    """Inertia of a link about its frame's origin.
-
-    Attributes:
-        mass: [kg].
-        moment: Mass times centre of mass, h [kg m].
-        inertia: Inertia tensor about the origin [kg m^2].
-    """
-
-    mass: float
-    moment: Vector
-    inertia: Matrix
-
-
-@dataclass(frozen=True)
-class Tree:
-    """A model unrolled into nodes, parents first."""
-
-    model: Model
-    nodes: tuple[Node, ...]
-    node_of_link: tuple[int, ...]
-    inertias: tuple[LinkInertia, ...]
-    children: tuple[tuple[int, ...], ...]
-
-
-def unroll(model: Model) -> Tree:
-    """Turn a model's joints into nodes."""
-    nodes: list[Node] = []
-    node_of_link: list[int] = []
-    q = u = 0
-    for index, link in enumerate(model.links):
-        joint = link.joint
-        parent = -1 if model.parents[index] < 0 else node_of_link[model.parents[index]]
-        offset = joint.position
-        if joint.kind in ("free", "ball"):
-            nodes.append(Node(parent, joint.kind, (0.0, 0.0, 0.0), offset, q, u, index))  # type: ignore[arg-type]
-            q, u = (q + 7, u + 6) if joint.kind == "free" else (q + 4, u + 3)
-        else:
-            kind: NodeKind = "prismatic" if joint.kind == "slider" else "revolute"
-            count = AXIS_COUNT[joint.kind]
-            for place, axis in enumerate(joint.axes):
-                last = place == count - 1
-                nodes.append(Node(parent, kind, axis, offset, q, u, index if last else None, joint.continuous))
-                parent, offset = len(nodes) - 1, (0.0, 0.0, 0.0)
-                q, u = q + 1, u + 1
-        node_of_link.append(len(nodes) - 1)
-    children = tuple(tuple(i for i, node in enumerate(nodes) if node.parent == place) for place in range(len(nodes)))
-    return Tree(model, tuple(nodes), tuple(node_of_link), tuple(map(_link_inertia, model.links)), children)
-
-
-def _link_inertia(link: Any) -> LinkInertia:
-    com = np.array(link.com, dtype=float)
-    tensor = np.array(link.inertia, dtype=float)
-    tensor = 0.5 * (tensor + tensor.T) + link.mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return LinkInertia(
-        float(link.mass), [float(x) for x in link.mass * com], [[float(x) for x in row] for row in tensor]
-    )
-
-
-# ---- pass 1: from the root outwards --------------------------------------------------------------------------------
-@dataclass
-class Kinematics:
-    """Where the nodes are and how they turn.
-
-    Attributes:
-        rotation: For each node, the matrix that takes its vectors to its parent's axes.
-        offset: For each node, its origin in its parent's frame [m].
-        omega: For each node, its angular velocity in its own axes [rad/s].
-        rate: For each node, the part of omega that its own joint adds.
-    """
-
-    tree: Tree
-    q: Sequence[Any]
-    u: Sequence[Any]
-    rotation: list[Matrix]
-    offset: list[Vector]
-    omega: list[Vector]
-    rate: list[Vector]
-    _world: dict[int, tuple[Matrix, Vector]] = field(default_factory=dict)
-    _velocity: dict[int, Vector] = field(default_factory=dict)
-
-    def world(self, place: int) -> tuple[Matrix, Vector]:
-        """Rotation matrix (node to world) and origin in the world of a node [m]."""
-        if place not in self._world:
-            node = self.tree.nodes[place]
-            if node.parent < 0:
-                self._world[place] = (self.rotation[place], self.offset[place])
-            else:
-                turn, origin = self.world(node.parent)
-                self._world[place] = (
-                    multiply(turn, self.rotation[place]),
-                    apply_onto(origin, turn, self.offset[place]),
-                )
-        return self._world[place]
-
-    def world_velocity(self, place: int) -> Vector:
-        """Velocity of a node's origin along the world's axes [m/s]."""
-        if place not in self._velocity:
-            node = self.tree.nodes[place]
-            if node.kind == "free":
-                velocity = list(self.u[node.u : node.u + 3])
-            elif node.parent < 0:
-                velocity = [0.0, 0.0, 0.0]
-            else:
-                parent = node.parent
-                turn, _ = self.world(parent)
-                velocity = self.world_velocity(parent)
-                relative = cross(self.omega[parent], self.offset[place])
-                if node.kind == "prismatic":
-                    relative = add(relative, scale(self.u[node.u], list(node.axis)))
-                if not all(is_zero(x) for x in relative):
-                    velocity = apply_onto(velocity, turn, relative)
-            if node.parent < 0 and node.kind == "prismatic":
-                velocity = scale(self.u[node.u], list(node.axis))
-            self._velocity[place] = velocity
-        return self._velocity[place]
-
-    def velocity(self, place: int) -> Vector:
-        """Velocity of a node's origin in its own axes [m/s]."""
-        return apply_transposed(self.world(place)[0], self.world_velocity(place))
-
-
-def kinematics(tree: Tree, q: Sequence[Any], u: Sequence[Any]) -> Kinematics:
-    """Rotations, offsets and angular velocities of every node."""
-    kin = Kinematics(tree, q, u, [], [], [], [])
-    for node in tree.nodes:
-        offset = list(node.offset)
-        if node.kind == "free":
-            rotation = quaternion_matrix(list(q[node.q + 3 : node.q + 7]))
-            offset = list(q[node.q : node.q + 3])
-            rate = list(u[node.u + 3 : node.u + 6])
-        elif node.kind == "ball":
-            rotation = quaternion_matrix(list(q[node.q : node.q + 4]))
-            rate = list(u[node.u : node.u + 3])
-        elif node.kind == "revolute":
-            rotation = axis_rotation(node.axis, q[node.q])
-            rate = scale(u[node.u], list(node.axis))
-        else:
-            rotation = identity()
-            offset = add(offset, scale(q[node.q], list(node.axis)))
-            rate = [0.0, 0.0, 0.0]
-        omega = rate if node.parent < 0 else apply_transposed_onto(rate, rotation, kin.omega[node.parent])
-        kin.rotation.append(rotation)
-        kin.offset.append(offset)
-        kin.omega.append(omega)
-        kin.rate.append(rate)
-    return kin
-
-
-def axis_rotation(axis: Sequence[float], angle: Any) -> Matrix:
-    """Rotation by an angle about a fixed unit axis; sparse for a coordinate axis."""
-    sine, cosine = sincos(angle)
-    for i in range(3):
-        if abs(axis[i]) == 1.0:
-            sine = sine if axis[i] > 0.0 else -sine
-            j, k = (i + 1) % 3, (i + 2) % 3
-            rotation = identity()
-            rotation[j][j] = rotation[k][k] = cosine
-            rotation[j][k], rotation[k][j] = -sine, sine
-            return rotation
-    rest = 1.0 - cosine
-    a = list(axis)
-    return [
-        [
-            rest * (a[i] * a[j]) + (cosine if i == j else sine * skew(a)[i][j])
-            for j in range(3)
-        ]
-        for i in range(3)
-    ]  # fmt: skip
-
-
-def velocity_product(kin: Kinematics, place: int) -> tuple[Vector, Vector]:
-    """What velocities add to a node's acceleration: the angular part in the node's axes, and the linear part.
-
-    Returns:
-        c: angular [rad/s^2], node axes.
-        b: linear [m/s^2], **parent's** axes: centripetal, and for a slider Coriolis, acceleration of the node's origin.
-    """
-    node = kin.tree.nodes[place]
-    if node.kind == "free" or node.parent < 0:
-        b = [0.0, 0.0, 0.0]
-    else:
-        omega, r = kin.omega[node.parent], kin.offset[place]
-        b = cross(omega, cross(omega, r))
-        if node.kind == "prismatic":
-            # 2 w x (axis rate); a prismatic node does not turn, so the axis is the same in both frames.
-            b = add(b, scale(2.0, cross(omega, scale(kin.u[node.u], list(node.axis)))))
-    if node.kind == "free":
-        return [0.0, 0.0, 0.0], b
-    return cross(kin.omega[place], kin.rate[place]), b
 
 
 # ---- forward dynamics ----------------------------------------------------------------------------------------------

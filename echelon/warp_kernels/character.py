@@ -14,8 +14,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from echelon.warp_kernels.articulated import Kinematics
 from echelon.warp_kernels.contact import Contact, JointForces, strain_count
+from echelon.warp_kernels.kinematics import Kinematics
 from echelon.warp_kernels.model import Model, Vec3
 from echelon.warp_kernels.reference import Body
 

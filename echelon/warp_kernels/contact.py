@@ -36,7 +36,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from echelon.warp_kernels.articulated import ContactLoad, Kinematics
+from echelon.warp_kernels.articulated import ContactLoad
+from echelon.warp_kernels.kinematics import Kinematics
 from echelon.warp_kernels.model import ContactSite, Joint, Model
 from echelon.warp_kernels.spatial import (
     Matrix,

@@ -10,9 +10,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from echelon.warp_kernels.articulated import Tree
 from echelon.warp_kernels.spatial import quaternion_normalized, quaternion_product, quaternion_rate
 from echelon.warp_kernels.trace import floor
+from echelon.warp_kernels.tree import Tree
 
 TWO_TURNS = 4.0 * math.pi
 """By so much angles of continuous joints are taken back [rad]: one turn would change the sign of a quaternion."""

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from echelon.warp_kernels import articulated
 from echelon.warp_kernels.character import AgentState, View
+from echelon.warp_kernels.kinematics import kinematics
 from echelon.warp_kernels.native import NativeFunction
 from echelon.warp_kernels.program import evaluate_substep
 from echelon.warp_kernels.reference_run import Divergence, ReferenceRun, diverging_probe
@@ -78,7 +78,7 @@ def _tick_and_substep(
     planes: Sequence[Sequence[Any]],
 ) -> None:
     character, step, tick = run.character, run.step, run.tick * run.step
-    kin = articulated.kinematics(character.body.tree, state.q, state.u)
+    kin = kinematics(character.body.tree, state.q, state.u)
     view = View(
         state.q, state.u, kin, dict(state.memory), parameters, command, state.substep, step, tick, step
     )  # fmt: skip

@@ -37,20 +37,19 @@ from echelon.warp_kernels.character import LOST, NO_EVENT, AgentState, Character
 from echelon.warp_kernels.contact import Contact, JointForces, contact, spring_forces, strain_count
 from echelon.warp_kernels.emit import Target, operation_count, statements
 from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions, wrapped_positions
+from echelon.warp_kernels.kinematics import kinematics, link_poses
 from echelon.warp_kernels.meeting import Bumper
 from echelon.warp_kernels.meeting_code import MeetingCode, meeting_code
 from echelon.warp_kernels.spatial import (
-    Vector,
     add,
     apply,
     apply_transposed,
     cross,
     quaternion_normalized,
-    quaternion_product,
     scale,
 )
 from echelon.warp_kernels.stability import check_explicit_forces
-from echelon.warp_kernels.trace import Expr, Graph, sincos
+from echelon.warp_kernels.trace import Expr, Graph
 
 Integrator = Literal["semi-implicit", "rk4"]
 PLANE_SIZE = 4  # n_x, n_y, n_z, d of the local plane of one contact site
@@ -91,7 +90,7 @@ def evaluate_substep(
         wrench: What others push the first link with: moment about its origin [N m] and force [N], in its axes.
     """
     body = character.body
-    kin = articulated.kinematics(body.tree, state.q, state.u)
+    kin = kinematics(body.tree, state.q, state.u)
     contacts: dict[str, Contact] = {}
     loads: dict[int, list[Any]] = {}
     for site, plane, strain in zip(body.contacts, planes, state.strains, strict=True):
@@ -241,7 +240,7 @@ class Program:
     def _control_source(self) -> str:
         graph = Graph()
         state = self._variables(graph)
-        kin = articulated.kinematics(self.character.body.tree, state.q, state.u)
+        kin = kinematics(self.character.body.tree, state.q, state.u)
         view = View(
             state.q,
             state.u,
@@ -369,7 +368,7 @@ class Program:
         graph = Graph()
         state = self._variables(graph)
         body = self.character.body
-        kin = articulated.kinematics(body.tree, state.q, state.u)
+        kin = kinematics(body.tree, state.q, state.u)
         outputs: list[tuple[str, Expr]] = []
         for index in self.located_sites:
             site = body.contacts[index]
@@ -386,7 +385,7 @@ class Program:
         graph = Graph()
         state = self._variables(graph)
         body = self.character.body
-        kin = articulated.kinematics(body.tree, state.q, state.u)
+        kin = kinematics(body.tree, state.q, state.u)
         values: list[Any] = []
         for pose in link_poses(kin):
             values += pose
@@ -442,23 +441,6 @@ class Program:
             f"float* to = (float*)(poses.data) + ((size_t)slot * agent_count + agent) * {count};\n"
             f"for (int i = 0; i < {count}; ++i) to[i] = from[i * {lanes}];\n}}\n"
         )
-
-
-def link_poses(kin: articulated.Kinematics) -> list[Vector]:
-    """Pose of every link in the world, quaternions chained from the joints' (no sign is chosen)."""
-    turns: list[Vector] = []
-    for node in kin.tree.nodes:
-        if node.kind == "free":
-            turn = list(kin.q[node.q + 3 : node.q + 7])
-        elif node.kind == "ball":
-            turn = list(kin.q[node.q : node.q + 4])
-        elif node.kind == "revolute":
-            sine, cosine = sincos(0.5 * kin.q[node.q])
-            turn = [*scale(sine, list(node.axis)), cosine]
-        else:
-            turn = [0.0, 0.0, 0.0, 1.0]
-        turns.append(turn if node.parent < 0 else quaternion_product(turns[node.parent], turn))
-    return [[*kin.world(place)[1], *turns[place]] for place in kin.tree.node_of_link]
 
 
 # Typed stubs of the native functions; their arguments are the names that the emitted code uses.

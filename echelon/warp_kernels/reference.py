@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from echelon.warp_kernels import articulated
-from echelon.warp_kernels.articulated import Kinematics, Tree
 from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions
+from echelon.warp_kernels.kinematics import Kinematics, kinematics
 from echelon.warp_kernels.model import Model
 from echelon.warp_kernels.spatial import add, apply, cross, quaternion_normalized, scale
+from echelon.warp_kernels.tree import Tree, unroll
 
 Array = np.ndarray
 
@@ -34,7 +35,7 @@ class Body(Model):
     @cached_property
     def tree(self) -> Tree:
         """The model unrolled into one-axis nodes, as the engine sees it."""
-        return articulated.unroll(self)
+        return unroll(self)
 
     # ---- dynamics --------------------------------------------------------------------------------------------------
     def forward_dynamics(self, q: Array, u: Array, tau: Array) -> Array:
@@ -77,7 +78,7 @@ class Body(Model):
                 f"body {self.name!r}: q and u end in {q.shape[-1:]} and {u.shape[-1:]}, "
                 f"not ({self.q_count},) and ({self.u_count},)"
             )
-        return articulated.kinematics(self.tree, _split(q), _split(u))
+        return kinematics(self.tree, _split(q), _split(u))
 
     def link_poses(self, q: Array) -> Array:
         """Pose of every link frame in the world: x y z [m] and quaternion x y z w, shape [..., link_count, 7]."""

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from echelon.warp_kernels import articulated
 from echelon.warp_kernels.character import NO_EVENT, AgentState, Character, View
 from echelon.warp_kernels.contact import strain_count
 from echelon.warp_kernels.integrate import position_rate, semi_implicit_positions, wrapped_positions
+from echelon.warp_kernels.kinematics import kinematics
 from echelon.warp_kernels.meeting import Bumper, Law
 from echelon.warp_kernels.meeting_code import meet
 from echelon.warp_kernels.program import Integrator, SubstepResult, evaluate_substep
@@ -138,7 +138,7 @@ class ReferenceRun:
     def control(self) -> None:
         """One control tick."""
         state, body = self.state, self.character.body
-        kin = articulated.kinematics(body.tree, state.q, state.u)
+        kin = kinematics(body.tree, state.q, state.u)
         view = View(
             state.q,
             state.u,

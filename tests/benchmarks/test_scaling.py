@@ -86,8 +86,9 @@ def test_rows_state_everything(briefly: None) -> None:
         assert row["want_ms"] > 0.0
         assert row["unrecorded_ms"] > 0.0
     assert (one["speedup"], one["efficiency"], one["unrecorded_efficiency"]) == (1.0, 1.0, 1.0)
-    assert two["unrecorded_efficiency"] == pytest.approx(one["unrecorded_ms"] / two["unrecorded_ms"])
-    assert two["efficiency"] == pytest.approx(one["frame_ms"] / two["frame_ms"])
+    # Runs that take one thread anyway are as fast as those with one.
+    assert (two["frame_ms"], two["unrecorded_ms"]) == (one["frame_ms"], one["unrecorded_ms"])
+    assert (two["speedup"], two["efficiency"], two["unrecorded_efficiency"]) == (1.0, 1.0, 1.0)
 
 
 def test_riders_too(briefly: None) -> None:

@@ -13,8 +13,8 @@ import pytest
 import warp as wp
 
 from echelon.errors import InputError
-from echelon.terrain.spline import (
-    Centreline,
+from echelon.terrain.spline import Centreline
+from echelon.terrain.spline_kernels import (
     CentrelineData,
     centreline_closest,
     centreline_curvature,

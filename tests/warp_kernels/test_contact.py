@@ -27,6 +27,7 @@ from echelon.agents.servo import ServoedBody
 from echelon.warp_kernels import articulated
 from echelon.warp_kernels.character import View
 from echelon.warp_kernels.contact import PEEL_ACCELERATION, JointForces, _deepest, _travel, contact
+from echelon.warp_kernels.kinematics import kinematics
 from echelon.warp_kernels.model import ContactSite, Integration, Joint, Link
 from echelon.warp_kernels.program import Integrator
 from echelon.warp_kernels.reference import Body
@@ -160,7 +161,7 @@ def site_forces(run: ReferenceRun) -> tuple[list[np.ndarray], list[np.ndarray], 
     """
     body = run.character.body
     result = run.evaluate(run.state, run.step, run.step)
-    kin = articulated.kinematics(body.tree, run.state.q, run.state.u)
+    kin = kinematics(body.tree, run.state.q, run.state.u)
     accelerations = articulated.link_accelerations(kin, result.qdd)
     forces, rises = [], []
     for site, plane, strain in zip(body.contacts, run.planes, run.state.strains, strict=True):

@@ -9,6 +9,7 @@ import pytest
 from engine_scenes import STEP, Flight, as_float32, body_named, emitted, hopper, puppet, start
 
 from echelon.warp_kernels import articulated
+from echelon.warp_kernels.kinematics import kinematics
 from echelon.warp_kernels.program import Integrator
 from echelon.warp_kernels.reference import Body
 from echelon.warp_kernels.reference_run import ReferenceRun
@@ -48,7 +49,7 @@ class Accelerations:
 
     def __call__(self, x: list[Any]) -> list[Any]:
         q, u = self.body.q_count, self.body.q_count + self.body.u_count
-        kin = articulated.kinematics(self.body.tree, x[:q], x[q:u])
+        kin = kinematics(self.body.tree, x[:q], x[q:u])
         return articulated.forward_dynamics(kin, x[u:])
 
 

@@ -13,6 +13,7 @@ from echelon.agents.servo import ServoedBody
 from echelon.warp_kernels import articulated
 from echelon.warp_kernels.character import View
 from echelon.warp_kernels.contact import JointForces, spring_forces
+from echelon.warp_kernels.kinematics import kinematics
 from echelon.warp_kernels.model import Joint, Link, Spring
 from echelon.warp_kernels.program import Integrator
 from echelon.warp_kernels.reference import Body
@@ -170,7 +171,7 @@ def test_limits_push_back_and_never_pull(implicit: bool):
     np.testing.assert_allclose(extra, np.where(pushing, h * (c + h * k), 0.0), atol=1e-15)
     assert np.count_nonzero(pushing) > 1000
     # With the implicit part as well, over the step as a whole: not past rest and away from the limit.
-    kin = articulated.kinematics(body.tree, [q[:, 0]], [u[:, 0]])
+    kin = kinematics(body.tree, [q[:, 0]], [u[:, 0]])
     qdd = articulated.forward_dynamics(kin, joints.tau, joints.implicit)[0]
     assert np.all((2.0 * qdd)[over] <= 1e-12)
     assert np.all((2.0 * qdd)[under] >= -1e-12)

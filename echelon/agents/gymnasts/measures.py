@@ -9,8 +9,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from echelon.warp_kernels.articulated import Kinematics
 from echelon.warp_kernels.character import View
+from echelon.warp_kernels.kinematics import Kinematics
 from echelon.warp_kernels.model import ContactSite
 from echelon.warp_kernels.reference import Body
 from echelon.warp_kernels.spatial import Vector, add, apply, cross, scale

@@ -9,6 +9,19 @@ import viser
 
 from echelon.errors import InputError
 
+SCRIPTS = (
+    "known.js",
+    "overlay.js",
+    "talking.js",
+    "showing.js",
+    "riding.js",
+    "looking.js",
+    "keys.js",
+    "directing.js",
+    "wiring.js",
+)
+"""Our script's files, in the order in which they stand in the page: one function holds them all."""
+
 
 def build_page() -> bytes:
     """The page as UTF-8.
@@ -36,7 +49,8 @@ def with_ours(client: str) -> str:
     head, end, rest = client.partition("</head>")
     folder = resources.files("echelon.play.web") / "page"
     style = (folder / "play.css").read_text(encoding="utf-8")
-    script = (folder / "play.js").read_text(encoding="utf-8")
+    files = ((folder / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    script = '(() => {\n"use strict";\n' + "\n".join(files) + "})();\n"
     head = head.replace("<title>Viser</title>", "<title>Echelon</title>")
     ours = f'<style id="echelon-style">\n{style}</style>\n<script id="echelon-script">\n{script}</script>\n'
     return f"{head}{ours}{end}{rest}"

@@ -15,9 +15,10 @@ from echelon.benchmarks.thesis.experiments import FidelitySettings
 from echelon.benchmarks.thesis.handspring import FAILURE, Handsprings, perform
 from echelon.benchmarks.thesis.trials import gymnast_of
 from echelon.simulation.performance import Performance
-from echelon.warp_kernels.articulated import ContactLoad, kinematics
+from echelon.warp_kernels.articulated import ContactLoad
 from echelon.warp_kernels.character import View
 from echelon.warp_kernels.contact import NO_MATRIX, Contact, JointForces
+from echelon.warp_kernels.kinematics import kinematics
 
 DISTURBED = 38
 NOTHING = ContactLoad([0.0] * 3, [0.0] * 3, NO_MATRIX, NO_MATRIX, NO_MATRIX)
