@@ -334,7 +334,7 @@ ground and with one another, dynamics, and the recording on disk.
   disk cannot keep up, when record waits for it. It takes a core's time, which a second simulating thread then lacks.
 
 Each size runs in a process of its own: *MB* is the most memory that it had, interpreter and kernels included. Runs with
-one thread, and with as many as the engine thinks worth it, take turns, and the fastest of three counts, over at least a
+one thread, and with as many as the engine thinks worth it, take turns, and the fastest of five counts, over at least a
 second and, where that does not take too long, over four chunks of the recording. Time is that of frames, without
 start-up. *Speed-up* is the time with one thread over that with more; the CSV file has it also for each thread
 (`efficiency`). *Not kept* is a frame that nobody records, measured in turn with the others: with as many threads as

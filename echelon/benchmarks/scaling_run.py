@@ -35,7 +35,7 @@ from echelon.warp_kernels.frame import ChunkArrays
 
 Row = dict[str, Any]
 
-ROUNDS = 3
+ROUNDS = 5
 ROUND_SECONDS = 1.0  # that a run should last at least [s]
 LONG_SECONDS = 6.0  # and need not last longer than, if it has so many chunks as ... [s]
 CHUNKS = 4  # ... this: the disk must keep up, and only from the second chunk on is it waited for
