@@ -143,6 +143,11 @@ class Tab:
     def number(self, key: str) -> float:
         return float(self.data(key))
 
+    def numbers(self, *keys: str) -> tuple[float, ...]:
+        """Several of them, of one state."""
+        data = "const data = document.getElementById('echelon').dataset"
+        return tuple(self.page.evaluate(f"() => {{ {data}; return {list(keys)}.map((key) => Number(data[key])); }}"))
+
     def text(self, name: str) -> str:
         """What is written in an element of the overlay, by the end of its id."""
         return self.page.locator(f"#echelon-{name}").inner_text()

@@ -114,7 +114,8 @@ def drive(only_tab: Tab, takes: Path) -> Ride:
     end = time.monotonic() + SOON
     with only_tab.holding("w"):
         while not (shown and shown[-1][1]) and time.monotonic() < end:
-            shown.append((int(only_tab.number("frame")), int(only_tab.number("inCorral"))))
+            frame, count = only_tab.numbers("frame", "inCorral")
+            shown.append((int(frame), int(count)))
             time.sleep(0.1)
     only_tab.restart()
     return Ride(take, shown)
