@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 
 CATCH_UP = 1.25  # a frame after a hitch comes so much faster than real time, until what was lost has been made up
-FORGIVEN = 0.5  # [s]; whoever is farther behind than this cannot keep up, and time is let go
+FORGIVEN = 1.0  # [s]; whoever is farther behind than this cannot keep up, and time is let go
 SHOWN_OVER = 2.0  # [s] over which the share of real time is measured
 
 
