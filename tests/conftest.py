@@ -1,4 +1,4 @@
-"""The longest files first: who gets one last lets the other processes wait for it."""
+"""In which order tests run, and which are tried again."""
 
 from __future__ import annotations
 
@@ -30,8 +30,34 @@ LONGEST = (
 Files that compile the same programs stand apart: two processes that come to them at once would both compile.
 """
 
+BESIDE_OTHERS = (
+    "play/test_browser.py",
+    "play/test_saved_page.py",
+    "play/test_page.py",
+    "play/test_front.py",
+    "play/test_view.py",
+    "play/test_cameras.py",
+    "play/test_pitch.py",
+    "play/test_trainer.py",
+    "flocking/test_group.py::test_a_frame_of_a_hundred_agents_costs_less_than_they_do",
+    "flocking/test_peloton.py::test_a_frame_of_sixteen_riders_costs_little",
+    "warp_kernels/test_neighbours.py::test_cost_is_linear_in_agents",
+    "sweeping/test_executors.py",
+    "sweeping/test_sweep.py::test_ctrl_c_on_the_command",
+)
+"""Tests that live by the clock, with programs beside them: browsers, servers, clients, clusters, stop watches.
+
+A machine that is taken away for a moment, or a browser that stops drawing, fails one of them and tells nothing of what
+is tested; so each may be tried three times. Nothing that is simulated is: what comes out differently is a fault.
+"""
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests of long files first; those of a file keep their order."""
-    places = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
+    """Put the tests of long files first, where those of a file keep their order, and say which are tried again."""
+    here = Path(__file__).parent
+    places = {here / name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: places.get(item.path, len(places)))
+    for item in items:
+        file = item.path.relative_to(here).as_posix()
+        if file in BESIDE_OTHERS or f"{file}::{item.name}" in BESIDE_OTHERS:
+            item.add_marker(pytest.mark.flaky(reruns=2))

@@ -253,8 +253,7 @@ def browser() -> Iterator[Browser]:
             launched = playwright.chromium.launch(executable_path=program, args=FLAGS)
         except Error as error:
             pytest.skip(f"{program} does not start: {str(error).splitlines()[0]}")
-        yield launched
-        launched.close()
+        yield launched  # ends with the driver: closed by name, one that hangs would be waited for
 
 
 def frames_in(tab: Tab, seconds: float) -> float:

@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -62,31 +63,101 @@ start = [4.0, 0.0]
 TOLD_EVERY = 2  # frames between two states that a page is told
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Browser]:
-    with browser() as launched:
-        yield launched
+@dataclass
+class Ride:
+    """A ride that is over: its take, and what the page showed meanwhile."""
+
+    take: Path
+    shown: list[tuple[int, int]]  # (frame, robots in the corral)
+
+
+class Stage:
+    """A browser, a program and a tab, each from when it is first asked for."""
+
+    def __init__(self, factory: pytest.TempPathFactory) -> None:
+        self._factory, self._open = factory, contextlib.ExitStack()
+
+    def clear(self) -> None:
+        """End it all; what is asked for next is new."""
+        kept = ("takes", "browser", "play", "tab", "drive")
+        for name in kept:
+            self.__dict__.pop(name, None)
+        self._open.close()
+
+    @cached_property
+    def takes(self) -> Path:
+        return self._factory.mktemp("takes")
+
+    @cached_property
+    def browser(self) -> Browser:
+        return self._open.enter_context(browser())
+
+    @cached_property
+    def play(self) -> Play:
+        _ = self.browser  # without one there is nothing to be tried
+        scenario = self.takes / "pen.toml"
+        scenario.write_text(SCENARIO, encoding="utf-8")
+        program = Play(scenario, "--takes", self.takes)
+        self._open.callback(program.stop)
+        return program
+
+    @cached_property
+    def tab(self) -> Tab:
+        return Tab(self.browser, self.play.url, "Ada")
+
+    @cached_property
+    def drive(self) -> Ride:
+        """A robot is driven in, straight ahead."""
+        self.tab.take_handlebars()
+        take, shown = self.takes / self.tab.restart(), []
+        end = time.monotonic() + SOON
+        with self.tab.holding("w"):
+            while not (shown and shown[-1][1]) and time.monotonic() < end:
+                frame, count = self.tab.numbers("frame", "inCorral")
+                shown.append((int(frame), int(count)))
+                time.sleep(0.1)
+        self.tab.restart()
+        return Ride(take, shown)
 
 
 @pytest.fixture(scope="module")
-def takes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("takes")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    stage = Stage(tmp_path_factory)
+    yield stage
+    stage.clear()
 
 
-@pytest.fixture(scope="module")
-def play(chromium: Browser, takes: Path) -> Iterator[Play]:
-    scenario = takes / "pen.toml"
-    scenario.write_text(SCENARIO, encoding="utf-8")
-    program = Play(scenario, "--takes", takes)
-    yield program
-    program.stop()
+@pytest.fixture
+def stage(request: pytest.FixtureRequest, shared: Stage) -> Stage:
+    """That of the test before, but a new one for a test that is tried again."""
+    if getattr(request.node, "execution_count", 1) > 1:
+        shared.clear()
+    return shared
 
 
-@pytest.fixture(scope="module")
-def only_tab(chromium: Browser, play: Play) -> Iterator[Tab]:
-    tab = Tab(chromium, play.url, "Ada")
-    yield tab
-    tab.close()
+@pytest.fixture
+def chromium(stage: Stage) -> Browser:
+    return stage.browser
+
+
+@pytest.fixture
+def play(stage: Stage) -> Play:
+    return stage.play
+
+
+@pytest.fixture
+def takes(stage: Stage) -> Path:
+    return stage.takes
+
+
+@pytest.fixture
+def only_tab(stage: Stage) -> Tab:
+    return stage.tab
+
+
+@pytest.fixture
+def drive(stage: Stage) -> Ride:
+    return stage.drive
 
 
 @pytest.fixture
@@ -96,29 +167,6 @@ def rider(only_tab: Tab) -> Iterator[Tab]:
     only_tab.go_on()
     yield only_tab
     assert only_tab.complaints == []
-
-
-@dataclass
-class Ride:
-    """A ride that is over: its take, and what the page showed meanwhile."""
-
-    take: Path
-    shown: list[tuple[int, int]]  # (frame, robots in the corral)
-
-
-@pytest.fixture(scope="module")
-def drive(only_tab: Tab, takes: Path) -> Ride:
-    """A robot is driven in, straight ahead."""
-    only_tab.take_handlebars()
-    take, shown = takes / only_tab.restart(), []
-    end = time.monotonic() + SOON
-    with only_tab.holding("w"):
-        while not (shown and shown[-1][1]) and time.monotonic() < end:
-            frame, count = only_tab.numbers("frame", "inCorral")
-            shown.append((int(frame), int(count)))
-            time.sleep(0.1)
-    only_tab.restart()
-    return Ride(take, shown)
 
 
 # ---- the page --------------------------------------------------------------------------------------------------------

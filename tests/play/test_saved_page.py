@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -20,9 +19,6 @@ from echelon.play.drawing.saved_page import save_page
 from echelon.recording import Recording
 from tests.export.road_ride import ride_recording
 from tests.export.synthetic import on_disk, synthetic_recording
-
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
-SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 @pytest.fixture(scope="module")
@@ -74,17 +70,18 @@ def test_a_recording_without_frames_is_nothing_to_show(tmp_path: Path) -> None:
         save_page(empty, tmp_path / "page.html")
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no chromium on this computer: on Debian and Ubuntu install chromium")
 def test_the_page_opens_from_a_file_and_moves(tmp_path: Path) -> None:
-    playwright = pytest.importorskip("playwright.sync_api", reason="install echelon[test]")
-    made = cast("Any", ride_recording(riders=3, frame_count=30))
+    pytest.importorskip("playwright", reason="drives the page: install echelon[test]")
+    from tests.play.browsing import browser  # asks for playwright, which the tests above do without
+
+    # A minute: at its end a page begins anew, and makes all that it draws once more, which takes software seconds.
+    made = cast("Any", ride_recording(riders=3, frame_count=1800))
     object.__setattr__(made, "removed", np.zeros((made.frame_count, 3), bool))
-    path = save_page(made, tmp_path / "page.html")
+    path = save_page(made, tmp_path / "page.html", frames_per_second=5)
     errors: list[str] = []
     requests: list[str] = []
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=BROWSER, args=SOFTWARE)
-        page = browser.new_page(viewport={"width": 320, "height": 240}, device_scale_factor=0.5)
+    with browser() as chromium:
+        page = chromium.new_page(viewport={"width": 320, "height": 240}, device_scale_factor=0.5)
         page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("request", lambda request: requests.append(request.url))
@@ -95,7 +92,6 @@ def test_the_page_opens_from_a_file_and_moves(tmp_path: Path) -> None:
         while not (_shows_a_meadow(pictures[-1]) and _moved(pictures)) and time.monotonic() < end:
             page.wait_for_timeout(500)
             pictures.append(_picture_of(page))
-        browser.close()
     assert errors == []
     assert [url for url in requests if not url.startswith(("file:", "data:", "blob:"))] == []
     assert _shows_a_meadow(pictures[-1])
