@@ -61,3 +61,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         file = item.path.relative_to(here).as_posix()
         if file in BESIDE_OTHERS or f"{file}::{item.name}" in BESIDE_OTHERS:
             item.add_marker(pytest.mark.flaky(reruns=2))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say what was tried again, and why: what passes in the end should not have to be."""
+    for report in terminalreporter.stats.get("rerun", []):
+        reason = next((line[2:].strip() for line in report.longreprtext.splitlines() if line.startswith("E ")), "")
+        terminalreporter.write_line(f"tried again: {report.nodeid} ({report.when}): {reason}")

@@ -23,6 +23,8 @@ SIDE_ACCELERATION = wp.constant(4.0)  # [m/s^2]; greatest in a bend, a lean of 2
 BRAKING = wp.constant(1.5)  # greatest braking, over the greatest acceleration
 BODY_RADIUS = wp.constant(0.6)  # [m]; fences stop the middle of the bicycle this far away
 SCRAPE_RATE = wp.constant(1.5)  # [rad/s]; a fence that it runs into turns it alongside
+STUCK = wp.constant(0.3)  # [m/s]; slower than this before a fence, it is turned to where it is steered
+STEERED = wp.constant(0.02)  # [rad]; less than this is straight ahead
 
 
 @wp.struct
@@ -131,6 +133,10 @@ def ride(
         place += (BODY_RADIUS - wall[2]) * away
         speed *= 1.0 - into * into
         side = wp.where(cross(direction(after), away) < 0.0, -1.0, 1.0)
+        if speed < STUCK and wp.abs(steering) > STEERED:
+            # In a corner each fence turns it towards the other, and it cannot reverse: who is in there gets it round
+            # with a foot on the ground.
+            side = wp.sign(steering)
         after += side * wp.min(wp.asin(into), SCRAPE_RATE * step)
 
     after = wp.atan2(wp.sin(after), wp.cos(after))

@@ -91,6 +91,18 @@ def test_a_fence_stops_it_and_turns_it_alongside() -> None:
     assert ahead[:, 1].max() < 28.0 - 0.5
 
 
+@pytest.mark.parametrize("heading", [0.0, 0.5, -0.6])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_it_is_steered_out_of_a_corner_of_the_corral(heading: float, side: float) -> None:
+    corral = CorralSettings(center=(25.0, 0.0), size=10.0, opening=8.0, facing=(-1.0, 0.0))
+    ride = Ride(CollieSettings(start=(15.0, 0.0), heading=heading), WorldSettings(corral=corral))
+    caught = ride.go(4.0, 0.0, 600)[-1]
+    assert caught[3] < 0.1, "straight ahead it stays where two fences meet"
+    away = ride.go(4.0, side * math.radians(20.0), 150)
+    assert away[:, 3].max() > 1.0
+    assert np.linalg.norm(away[:, :2] - caught[:2], axis=1).max() > 2.0
+
+
 def test_the_herd_sees_where_it_is_and_how_it_moves() -> None:
     ride = Ride(CollieSettings(start=(1.0, 2.0), heading=0.5, start_speed=3.0))
     np.testing.assert_allclose(

@@ -72,16 +72,18 @@ class Ride:
 
 
 class Stage:
-    """A browser, a program and a tab, each from when it is first asked for."""
+    """A browser, a program and a tab, each from when it is first asked for, or asked for after it has ended."""
 
     def __init__(self, factory: pytest.TempPathFactory) -> None:
         self._factory, self._open = factory, contextlib.ExitStack()
+        self._play: Play | None = None
+        self._tab: Tab | None = None
 
     def clear(self) -> None:
         """End it all; what is asked for next is new."""
-        kept = ("takes", "browser", "play", "tab", "drive")
-        for name in kept:
+        for name in ("takes", "browser", "drive"):
             self.__dict__.pop(name, None)
+        self._play = self._tab = None
         self._open.close()
 
     @cached_property
@@ -92,18 +94,21 @@ class Stage:
     def browser(self) -> Browser:
         return self._open.enter_context(browser())
 
-    @cached_property
+    @property
     def play(self) -> Play:
-        _ = self.browser  # without one there is nothing to be tried
-        scenario = self.takes / "pen.toml"
-        scenario.write_text(SCENARIO, encoding="utf-8")
-        program = Play(scenario, "--takes", self.takes)
-        self._open.callback(program.stop)
-        return program
+        if self._play is None or self._play.process.poll() is not None:
+            _ = self.browser  # without one there is nothing to be tried
+            scenario = self.takes / "pen.toml"
+            scenario.write_text(SCENARIO, encoding="utf-8")
+            self._play = Play(scenario, "--takes", self.takes)
+            self._open.callback(self._play.stop)
+        return self._play
 
-    @cached_property
+    @property
     def tab(self) -> Tab:
-        return Tab(self.browser, self.play.url, "Ada")
+        if self._tab is None or self._tab.page.is_closed():
+            self._tab = Tab(self.browser, self.play.url, "Ada")
+        return self._tab
 
     @cached_property
     def drive(self) -> Ride:
@@ -162,7 +167,10 @@ def drive(stage: Stage) -> Ride:
 
 @pytest.fixture
 def rider(only_tab: Tab) -> Iterator[Tab]:
-    """Who holds the handlebars, and rides on in the world as the test before left it."""
+    """Who holds the handlebars, and rides on in the world as the test before left it.
+
+    Whoever is to get up to speed restarts: meanwhile they may have come up against a fence.
+    """
     only_tab.take_handlebars()
     only_tab.go_on()
     yield only_tab
@@ -224,6 +232,7 @@ def test_keys_move_the_avatar(rider: Tab, takes: Path) -> None:
 
 
 def test_pads_move_it_too_and_gears_shift(rider: Tab) -> None:
+    rider.restart()
     rider.stop_riding()
     gear = int(rider.number("gear"))
     rider.click("pad-gear-up")
@@ -259,6 +268,7 @@ def test_who_drags_the_picture_looks_elsewhere(rider: Tab) -> None:
 
 def test_keys_are_felt_soon(rider: Tab) -> None:
     """A loose bound for machines that are busy with other tests; alone it is less than a tenth of a second."""
+    rider.restart()
     watch = """() => {
         const overlay = document.getElementById("echelon");
         let pressed = null; // the message about a key leaves while the key is handled
@@ -358,6 +368,7 @@ def test_restart_with_another_seed_and_number(rider: Tab) -> None:
 
 # ---- several people --------------------------------------------------------------------------------------------------
 def test_two_people_see_the_same_and_one_rides(rider: Tab, chromium: Browser, play: Play) -> None:
+    rider.restart()
     other = Tab(chromium, play.url, "Bob")
     try:
         assert other.data("people") == "2"
@@ -411,6 +422,7 @@ def test_two_people_see_the_same_and_one_rides(rider: Tab, chromium: Browser, pl
 
 
 def test_who_reloads_their_tab_lets_go_and_comes_back(rider: Tab) -> None:
+    rider.restart()
     before = rider.data("you")
     with rider.holding("w"):
         rider.wait("Number(data.speed) > 1")
@@ -519,6 +531,7 @@ def test_who_sends_nonsense_is_dropped_and_disturbs_nobody(rider: Tab, play: Pla
 
 
 def test_who_stops_reading_holds_up_nobody(rider: Tab, play: Play) -> None:
+    rider.restart()
     pace, memory = frames_in(rider, 1.5), play.status("VmRSS")
     with contextlib.ExitStack() as stack:
         for number in range(4):
