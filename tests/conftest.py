@@ -48,7 +48,8 @@ BESIDE_OTHERS = (
 """Tests that live by the clock, with programs beside them: browsers, servers, clients, clusters, stop watches.
 
 A machine that is taken away for a moment, or a browser that stops drawing, fails one of them and tells nothing of what
-is tested; so each may be tried three times. Nothing that is simulated is: what comes out differently is a fault.
+is tested; so each may be tried three times. All other tests are tried once: a simulation that comes out differently is
+a fault. The end of the output says what was tried again, and why.
 """
 
 
