@@ -42,10 +42,17 @@ BESIDE_OTHERS = (
     "flocking/test_group.py::test_a_frame_of_a_hundred_agents_costs_less_than_they_do",
     "flocking/test_peloton.py::test_a_frame_of_sixteen_riders_costs_little",
     "warp_kernels/test_neighbours.py::test_cost_is_linear_in_agents",
+    "simulation/test_faults.py::test_killed_it_loses_no_chunk_that_was_recorded",
+    "simulation/test_faults.py::test_killed_at_any_moment_it_loses_one_chunk_at_most",
+    "simulation/test_faults.py::test_a_disk_that_takes_no_more",
+    "simulation/test_faults.py::test_a_full_disk",
+    "simulation/test_faults.py::test_a_directory_that_can_no_longer_be_written",
+    "test_cli.py::test_a_real_run_killed_and_resumed",
     "sweeping/test_executors.py",
     "sweeping/test_sweep.py::test_ctrl_c_on_the_command",
 )
-"""Tests that live by the clock, with programs beside them: browsers, servers, clients, clusters, stop watches.
+"""Tests that live by the clock, with programs beside them: browsers, servers, clients, clusters, stop watches, and runs
+that something must happen to before they end.
 
 A machine that is taken away for a moment, or a browser that stops drawing, fails one of them and tells nothing of what
 is tested; so each may be tried three times. All other tests are tried once: a simulation that comes out differently is
