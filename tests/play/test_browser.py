@@ -30,6 +30,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
+from echelon.flocking.person import CONTROLS
 from echelon.recording import Recording
 from tests.play.browsing import SOON, Play, Tab, browser, difference, frames_in, until
 
@@ -217,10 +218,11 @@ def test_keys_move_the_avatar(rider: Tab, takes: Path) -> None:
             rider.wait(f"{steering}.endsWith('right')")
             rider.wait_frames(60)
     rider.wait("data.pedal === '0' && data.steer === '0'")
-    rider.wait_frames(5)
-    coasting = rider.number("speed")
-    rider.wait_frames(45)
-    assert 0.0 < rider.number("speed") < coasting - 0.05, "who stops pedalling slows"
+    coasting = takes / rider.restart()
+    with rider.holding("w"):
+        rider.wait("Number(data.speed) > 1.5")
+    rider.wait("data.pedal === '0'")
+    rider.wait_frames(25)
     with rider.holding("s"):
         rider.wait("Number(data.speed) === 0")
     rider.restart()
@@ -229,6 +231,12 @@ def test_keys_move_the_avatar(rider: Tab, takes: Path) -> None:
     assert heading.max() > heading[0] + 0.1, "A turns to the left"
     assert heading[-1] < heading.max() - 0.1, "D turns to the right"
     assert np.linalg.norm(way[-1, :2] - way[0, :2]) > 3.0
+    ridden = Recording(coasting)
+    released = np.flatnonzero(ridden.controls[:][:, CONTROLS.index("effort")])[-1]
+    steps = np.diff(np.asarray(ridden.actor_poses[:, 0, :2], dtype=np.float64), axis=0)
+    speed = np.linalg.norm(steps[released + 2 : released + 20], axis=1) * ridden.frame_rate
+    assert np.all(np.diff(speed) < 0.0), "who stops pedalling slows"
+    assert speed[-1] > 0.5 * speed[0], "and does not stop at once"
 
 
 def test_pads_move_it_too_and_gears_shift(rider: Tab) -> None:
